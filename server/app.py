@@ -47,7 +47,6 @@ from server.lifecycle import (
     Feature,
     Part,
     Together,
-    first_of,
     on_debug_signal,
     on_hangup,
     start_in_order,
@@ -219,7 +218,7 @@ class App:
                 log.info("%s", self._what_runs_where())
                 if not page_is_built(PAGE_DIRECTORY):
                     log.info("%s", HOW_TO_BUILD_PAGE)
-                await first_of(ending, restart.requested)
+                await unless_ended(ending, restart.requested.wait())
             log.info("stopping")
         finally:
             restarts = restart.requested.is_set() and not ending.is_set()

@@ -1,10 +1,11 @@
 """Errors of the server; the text of each is one sentence for the user."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
+from robot.errors import RobotError
 
 Found = TypeVar("Found")
 
@@ -78,3 +79,15 @@ class StartError(ServerError):
 def sentence_of(flaw: Mapping[str, Any]) -> str:
     """Return the sentence of one of ``ValidationError.errors()``; a validator's own sentence as it stands."""
     return str(flaw["msg"]).removeprefix("Value error, ")
+
+
+def answering(work: Callable[[dict[str, Any]], Mapping[str, Any]]) -> Callable[[dict[str, Any]], Mapping[str, Any]]:
+    """Return a service that answers a refusal by its fields ``success`` and ``message``."""
+
+    def serve(request: dict[str, Any]) -> Mapping[str, Any]:
+        try:
+            return work(request)
+        except (ServerError, RobotError) as error:
+            return {"success": False, "message": str(error)}
+
+    return serve

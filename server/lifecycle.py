@@ -1,7 +1,6 @@
 """Life of the server: features start in order and stop in reverse, each within a deadline."""
 
 import asyncio
-import contextlib
 import logging
 import os
 import signal
@@ -144,14 +143,7 @@ def stop_signals() -> tuple[asyncio.Event, asyncio.Event]:
 async def run_until_signal(work: Coroutine[Any, Any, None]) -> bool:
     """Run some work to its end, or until SIGINT or SIGTERM; return True when a signal has ended it."""
     ending, _hurry = stop_signals()
-    running, ended = asyncio.create_task(work), asyncio.create_task(ending.wait())
-    await asyncio.wait([running, ended], return_when=asyncio.FIRST_COMPLETED)
-    for task in (running, ended):
-        task.cancel()
-    await asyncio.gather(ended, return_exceptions=True)
-    with contextlib.suppress(asyncio.CancelledError):
-        await running
-    return ending.is_set()
+    return not await unless_ended(ending, work, cancel_timeout_s=None)
 
 
 def on_hangup(
@@ -178,23 +170,20 @@ def toggle_debug() -> None:
     log.warning("SIGUSR1: the log's level is %s", "debug now" if debug else "again what the settings say")
 
 
-async def first_of(*events: asyncio.Event) -> None:
-    waiting = [asyncio.create_task(event.wait()) for event in events]
-    await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
-    for each in waiting:
-        each.cancel()
-
-
-async def unless_ended(ending: asyncio.Event, starting: Coroutine[Any, Any, None]) -> bool:
-    """Start, unless the end comes before that is done; says whether it is."""
-    started, ended = asyncio.create_task(starting), asyncio.create_task(ending.wait())
-    await asyncio.wait([started, ended], return_when=asyncio.FIRST_COMPLETED)
-    if started.done():
-        ended.cancel()
-        started.result()
+async def unless_ended(
+    ending: asyncio.Event, work: Coroutine[Any, Any, object], cancel_timeout_s: float | None = CANCEL_TIMEOUT_S
+) -> bool:
+    """Do some work to its end, or cancel it when the event comes before that, and wait [s]; says whether it is done."""
+    working, ended = asyncio.create_task(work), asyncio.create_task(ending.wait())
+    try:
+        await asyncio.wait([working, ended], return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in (working, ended):
+            task.cancel()
+    if working.done():
+        working.result()
         return True
-    started.cancel()
-    await asyncio.wait([started], timeout=CANCEL_TIMEOUT_S)
+    await asyncio.wait([working], timeout=cancel_timeout_s)
     return False
 
 

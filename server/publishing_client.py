@@ -1,10 +1,10 @@
-"""Rosbridge client that publishes on one topic of a server elsewhere, on one connection after the other."""
+"""Rosbridge client that publishes on topics of a server elsewhere, on one connection after the other."""
 
 import asyncio
 import contextlib
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,8 +16,7 @@ OPEN_TIMEOUT_S = 10.0
 # Times between two attempts to connect: doubled after each, up to the second.
 FIRST_DELAY_S, LAST_DELAY_S = 0.5, 5.0
 
-# What a server answers to a client that only publishes is short; each complaint is printed once.
-MAX_ANSWER_BYTES = 1_000_000
+# Each complaint is printed once.
 MAX_COMPLAINTS = 20
 
 
@@ -31,12 +30,14 @@ class PublishedTopic:
 
 
 class PublishingClient(ABC):
-    """Client of a server that publishes on one topic."""
+    """Client of a server that publishes on one topic, or on others of these types beside it."""
 
-    def __init__(self, target: PublishedTopic, type_name: str, tell: Callable[[str], None]) -> None:
+    max_answer_bytes = 1_000_000  # what a server answers to a client that only publishes is short
+
+    def __init__(self, target: PublishedTopic, types: Mapping[str, str], tell: Callable[[str], None]) -> None:
         self.published = 0
         self._target = target
-        self._type_name = type_name
+        self._types = types
         self._tell = tell
         self._complaints: set[str] = set()
 
@@ -54,9 +55,9 @@ class PublishingClient(ABC):
         while not self.ended:
             before = self.published
             try:
-                async with connect(url, open_timeout=OPEN_TIMEOUT_S, max_size=MAX_ANSWER_BYTES) as websocket:
+                async with connect(url, open_timeout=OPEN_TIMEOUT_S, max_size=self.max_answer_bytes) as websocket:
                     self._tell(f"connected to {url}")
-                    listening = asyncio.create_task(self._listen(websocket))
+                    listening = asyncio.create_task(self.listen(websocket))
                     try:
                         await self.announce(websocket)
                         await self.publish(websocket)
@@ -73,23 +74,22 @@ class PublishingClient(ABC):
     async def announce(self, connection: ClientConnection) -> None:
         if self._target.token is not None:
             await connection.send(json.dumps({"op": "auth", "token": self._target.token}))
-        operation = {"op": "advertise", "topic": self._target.topic, "type": self._type_name}
-        await connection.send(json.dumps(operation))
+        for topic, type_name in self._types.items():
+            await connection.send(json.dumps({"op": "advertise", "topic": topic, "type": type_name}))
 
-    async def send(self, connection: ClientConnection, message: dict[str, Any]) -> None:
-        await connection.send(json.dumps({"op": "publish", "topic": self._target.topic, "msg": message}))
+    async def send(self, connection: ClientConnection, message: Mapping[str, Any], topic: str = "") -> None:
+        await connection.send(json.dumps({"op": "publish", "topic": topic or self._target.topic, "msg": message}))
 
-    async def _listen(self, frames: Any) -> None:
-        async for frame in frames:
+    async def listen(self, connection: ClientConnection) -> None:
+        """Tell complaints of the server for as long as the connection lasts."""
+        async for frame in connection:
             with contextlib.suppress(ValueError):
-                complaint = complaint_of(json.loads(frame))
-                if complaint and complaint not in self._complaints and len(self._complaints) < MAX_COMPLAINTS:
-                    self._complaints.add(complaint)
-                    self._tell(f"{self._target.url}: {complaint}")
+                self.complain(json.loads(frame))
 
-
-def complaint_of(answer: Any) -> str:
-    """Return the sentence of a status message with an error or a warning; empty for anything else."""
-    if not isinstance(answer, dict) or answer.get("op") != "status" or answer.get("level") not in ("error", "warning"):
-        return ""
-    return str(answer.get("msg", ""))
+    def complain(self, answer: Any) -> None:
+        """Tell what a status message with an error or a warning says, once; do nothing for any other message."""
+        if isinstance(answer, dict) and answer.get("op") == "status" and answer.get("level") in ("error", "warning"):
+            complaint = str(answer.get("msg", ""))
+            if complaint and complaint not in self._complaints and len(self._complaints) < MAX_COMPLAINTS:
+                self._complaints.add(complaint)
+                self._tell(f"{self._target.url}: {complaint}")

@@ -74,8 +74,16 @@ CHANGING = frozenset(("set_param", "delete_param"))
 # Returns the complete response, which nobody changes from then on; raises ServiceError to fail the call.
 Handler: TypeAlias = Callable[[Request], dict[str, Any]]
 
-# Service name below /rosapi -> service type and handler.
-Handlers: TypeAlias = dict[str, tuple[str, Handler]]
+# Handlers by their services' names below /rosapi.
+Handlers: TypeAlias = dict[str, Handler]
+
+# Types that are not named after their services, and types of ROS 1 alone.
+TYPES = {
+    "action_servers": "rosapi_msgs/srv/GetActionServers",
+    "get_ros_version": "rosapi_msgs/srv/GetROSVersion",
+    "search_param": "rosapi/srv/SearchParam",
+    "service_host": "rosapi/srv/ServiceHost",
+}
 
 
 class RosApi:
@@ -90,76 +98,50 @@ class RosApi:
         self._texts: dict[tuple[str, Dialect], str] = {}
         self._details = functools.lru_cache(MAX_DETAILS)(self._make_details)
         handlers = self._of_topics() | self._of_services() | self._of_types() | self.parameters.handlers
-        for name, (type_name, handler) in handlers.items():
+        for name, handler in handlers.items():
             rule = CONFIGURING if name in CHANGING else LOOKING
+            type_name = TYPES.get(name) or f"rosapi_msgs/srv/{name.title().replace('_', '')}"
             self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
 
     def _of_topics(self) -> Handlers:
         graph, topics = self._graph, self._graph.topic_names
         return {
-            "topics": ("rosapi_msgs/srv/Topics", Latest(topics, self._topics)),
-            "topics_for_type": (
-                "rosapi_msgs/srv/TopicsForType",
-                lambda request: {"topics": _shown(topics.of_type(request.values["type"]))},
-            ),
-            "topics_and_raw_types": ("rosapi_msgs/srv/TopicsAndRawTypes", Latest(topics, self._topics_and_raw_types)),
-            "topic_type": ("rosapi_msgs/srv/TopicType", _type_answer(topics, "topic")),
-            "publishers": (
-                "rosapi_msgs/srv/Publishers",
-                lambda request: {"publishers": _node_names(graph.publishers(request.name("topic")))},
-            ),
-            "subscribers": (
-                "rosapi_msgs/srv/Subscribers",
-                lambda request: {"subscribers": _node_names(graph.subscribers(request.name("topic")))},
-            ),
-            "nodes": ("rosapi_msgs/srv/Nodes", lambda _: {"nodes": _node_names(graph.nodes())}),
-            "node_details": ("rosapi_msgs/srv/NodeDetails", self._node_details),
+            "topics": Latest(topics, self._topics),
+            "topics_for_type": lambda request: {"topics": _shown(topics.of_type(request.values["type"]))},
+            "topics_and_raw_types": Latest(topics, self._topics_and_raw_types),
+            "topic_type": _type_answer(topics, "topic"),
+            "publishers": lambda request: {"publishers": _node_names(graph.publishers(request.name("topic")))},
+            "subscribers": lambda request: {"subscribers": _node_names(graph.subscribers(request.name("topic")))},
+            "nodes": lambda _: {"nodes": _node_names(graph.nodes())},
+            "node_details": self._node_details,
         }
 
     def _of_services(self) -> Handlers:
-        graph, services, actions = self._graph, self._graph.services.names, self._graph.actions.names
+        services, actions, providers = self._services.names, self._graph.actions.names, self._services.providers_of_type
         return {
-            "services": (
-                "rosapi_msgs/srv/Services",
-                Latest(services, lambda _: {"services": _shown(services.types())}),
-            ),
-            "services_for_type": (
-                "rosapi_msgs/srv/ServicesForType",
-                lambda request: {"services": _shown(services.of_type(request.values["type"]))},
-            ),
-            "service_type": ("rosapi_msgs/srv/ServiceType", _type_answer(services, "service")),
+            "services": Latest(services, lambda _: {"services": _shown(services.types())}),
+            "services_for_type": lambda request: {"services": _shown(services.of_type(request.values["type"]))},
+            "service_type": _type_answer(services, "service"),
             # The field ``service`` has a type, as in rosapi.
-            "service_providers": (
-                "rosapi_msgs/srv/ServiceProviders",
-                lambda request: {"providers": _node_names(graph.services.providers_of_type(request.values["service"]))},
-            ),
-            "service_node": ("rosapi_msgs/srv/ServiceNode", self._service_node),
-            # In ROS 1 only.
-            "service_host": ("rosapi/srv/ServiceHost", self._service_host),
-            "action_servers": (
-                "rosapi_msgs/srv/GetActionServers",
-                Latest(actions, lambda _: {"action_servers": sorted(actions.types())}),
-            ),
-            "action_type": ("rosapi_msgs/srv/ActionType", _type_answer(actions, "action")),
+            "service_providers": lambda request: {"providers": _node_names(providers(request.values["service"]))},
+            "service_node": self._service_node,
+            "service_host": self._service_host,
+            "action_servers": Latest(actions, lambda _: {"action_servers": sorted(actions.types())}),
+            "action_type": _type_answer(actions, "action"),
         }
 
     def _of_types(self) -> Handlers:
+        details = {
+            f"{kind}_{part.lower()}_details": self._details_answer(type_kind, f"_{part}")
+            for kind, type_kind, parts in MEMBERS
+            for part in parts
+        }
         return {
-            "message_details": ("rosapi_msgs/srv/MessageDetails", self._details_answer("msg", "")),
-            **{
-                f"{kind}_{part.lower()}_details": (
-                    f"rosapi_msgs/srv/{kind.title()}{part}Details",
-                    self._details_answer(type_kind, f"_{part}"),
-                )
-                for kind, type_kind, parts in MEMBERS
-                for part in parts
-            },
-            "interfaces": ("rosapi_msgs/srv/Interfaces", self._interfaces),
-            "get_time": (
-                "rosapi_msgs/srv/GetTime",
-                lambda _: {"time": self._graph.message_types.now().as_message()},
-            ),
-            "get_ros_version": ("rosapi_msgs/srv/GetROSVersion", lambda request: ROS_VERSIONS[request.dialect]),
+            "message_details": self._details_answer("msg", ""),
+            **details,
+            "interfaces": self._interfaces,
+            "get_time": lambda _: {"time": self._graph.message_types.now().as_message()},
+            "get_ros_version": lambda request: ROS_VERSIONS[request.dialect],
         }
 
     def _topics(self, dialect: Dialect) -> dict[str, Any]:
@@ -242,16 +224,12 @@ class Parameters:
         self._open: set[str] = set()
         self._size_bytes = 0
         self.handlers: Handlers = {
-            "set_param": ("rosapi_msgs/srv/SetParam", self._set_param),
-            "get_param": ("rosapi_msgs/srv/GetParam", self._get_param),
-            "has_param": (
-                "rosapi_msgs/srv/HasParam",
-                lambda request: {"exists": self._allowed_name(request) in self._values},
-            ),
-            "delete_param": ("rosapi_msgs/srv/DeleteParam", self._delete_param),
-            "get_param_names": ("rosapi_msgs/srv/GetParamNames", lambda _: {"names": sorted(self._open)}),
-            # In ROS 1 only.
-            "search_param": ("rosapi/srv/SearchParam", self._search_param),
+            "set_param": self._set_param,
+            "get_param": self._get_param,
+            "has_param": lambda request: {"exists": self._allowed_name(request) in self._values},
+            "delete_param": self._delete_param,
+            "get_param_names": lambda _: {"names": sorted(self._open)},
+            "search_param": self._search_param,
         }
 
     def keep(self, name: str, value: str) -> None:

@@ -16,7 +16,7 @@ from typing import Any, Protocol, TypeVar
 from robot.commissioning.session import Step, SweptRange
 from robot.errors import RobotError
 from robot.messages import ArmHealth, ArmState
-from server.errors import ServiceError
+from server.errors import ServiceError, answering
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import COMMISSIONING, CONFIGURING, Rule
@@ -183,12 +183,7 @@ class Commissioning:
         await end_task(self._task)
 
     def _offer(self, name: str, type_name: str, work: Callable[[dict[str, Any]], str], rule: Rule) -> None:
-        def serve(request: dict[str, Any]) -> dict[str, Any]:
-            try:
-                return {"success": True, "message": work(request)}
-            except (RobotError, ServiceError) as error:
-                return {"success": False, "message": str(error)}
-
+        serve = answering(lambda request: {"success": True, "message": work(request)})
         self._graph.offer(self._node, name, type_name, serve, rule=rule)
 
     def _begin(self, request: dict[str, Any]) -> str:

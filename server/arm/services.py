@@ -10,6 +10,7 @@ from protocol.publication import PublishedMessage
 from robot.arm_group import AnyArm, moves, states_of
 from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Mode, Order, PlaybackDirection
 from server.arrival import arrival_epoch
+from server.errors import ServiceError, answering
 from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
@@ -133,11 +134,10 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
     def set_limit(request: ServiceFields) -> ServiceFields:
         limit = request["speed_limit"]
         if not MIN_SPEED_LIMIT <= limit <= 1.0:
-            message = (
+            raise ServiceError(
                 f"speed_limit must be {MIN_SPEED_LIMIT:g} to 1, a share of the joints' velocity limits, not {limit:g};"
                 f" {graph.resolve(PAUSE)} and {graph.resolve(STOP)} bring the arm to rest"
             )
-            return {"success": False, "message": message}
         log.info("%s: speed limit %g, before %g", graph.resolve(SPEED_LIMIT), limit, arm.state.pace.speed_limit)
         arm.change_pace(ChangePace(speed_limit=limit))
         return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
@@ -145,11 +145,11 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
     def offer(name: str, direction: PlaybackDirection, rule: Rule) -> None:
         def serve(_request: ServiceFields) -> ServiceFields:
             if not moves(arm):
-                return {"success": False, "message": f"no motion is in progress: the arm is {arm.state.mode.value}"}
+                raise ServiceError(f"no motion is in progress: the arm is {arm.state.mode.value}")
             arm.change_pace(ChangePace(direction=direction))
             return {"success": True, "message": _SENTENCES[direction].format(prefix=graph.resolve(""))}
 
-        graph.offer(node, name, "std_srvs/Trigger", serve, rule=rule)
+        graph.offer(node, name, "std_srvs/Trigger", answering(serve), rule=rule)
 
     rejected = functools.partial(log.warning, "%s: %s", SPEED_FACTOR_TOPIC)
     graph.subscribe(node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", Subscriber(set_speed, rejected, rule=SWITCHING))
@@ -158,4 +158,4 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
     offer(RESUME, PlaybackDirection.FORWARD, SWITCHING)
     offer(STEP_BACK, PlaybackDirection.BACK, SWITCHING)
     # It moves nothing: an operator may lower it while another client drives.
-    graph.offer(node, SPEED_LIMIT, SPEED_LIMIT_TYPE, set_limit, rule=WORKING)
+    graph.offer(node, SPEED_LIMIT, SPEED_LIMIT_TYPE, answering(set_limit), rule=WORKING)

@@ -25,31 +25,6 @@ def states_are_observed(graph: Graph) -> bool:
     return any(graph.subscribers(topic) for topic in graph.topic_names.types() if topic.endswith(_FREQUENT))
 
 
-class JointStates:
-    """Publishes every state of the arm.
-
-    Effort is the share of full motor duty, -1..1: the servos measure no torque.
-    """
-
-    def __init__(self, graph: LocalGraph) -> None:
-        self._graph = graph
-        self._node = Node("arm")
-        graph.advertise(self._node, TOPIC, "sensor_msgs/JointState")
-
-    def publish(self, state: ArmState) -> None:
-        """Publish one state; a disconnected arm has none."""
-        if state.position_rad is None or state.velocity_rad_s is None or state.load is None:
-            return
-        message: dict[str, Any] = {
-            "header": {"stamp": Stamp.from_seconds(state.stamp_s).as_message(), "frame_id": ""},
-            "name": list(state.joint_names),
-            "position": state.position_rad.tolist(),
-            "velocity": state.velocity_rad_s.tolist(),
-            "effort": state.load.tolist(),
-        }
-        self._graph.publish(self._node, TOPIC, message)
-
-
 STATE_TOPIC = "/arm/state"
 LIMITS_TOPIC = "/arm/joint_limits"
 
@@ -68,7 +43,7 @@ _LEVELS = {Mode.DISCONNECTED: LEVEL_ERROR, Mode.CONNECTED: LEVEL_WARN, Mode.FAUL
 
 
 class ArmStateTopics:
-    """Publishes the arm's mode, fault and pace, its calibrated ranges without margin, and its joint limits."""
+    """Publishes the arm's mode, fault and pace, its calibrated ranges without margin, its joints and their limits."""
 
     def __init__(
         self, graph: LocalGraph, robot: RobotModel, state: ArmState, calibration: Calibration | None = None
@@ -79,10 +54,11 @@ class ArmStateTopics:
             for each in (calibration.joints if calibration else ())
         }
         self._robot = robot
-        self._node = Node("arm state")
+        self._node, self._joints = Node("arm state"), Node("arm")
         # Contents of the last message.
         self._shown: tuple[Mode, str, Fault | None, Pace, int] | None = None
         self._limits: dict[str, Any] | None = None
+        graph.advertise(self._joints, TOPIC, "sensor_msgs/JointState")
         graph.advertise(self._node, STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         graph.advertise(self._node, LIMITS_TOPIC, "moveit_msgs/KinematicSolverInfo", latch=True)
         self._publish_limits({joint.name: (joint.lower, joint.upper) for joint in robot.movable_joints})
@@ -97,6 +73,22 @@ class ArmStateTopics:
             message["values"] += key_values({"last_stop": str(last_stop)} | self._ranges)
             self._graph.publish(self._node, STATE_TOPIC, message)
 
+    def publish_joints(self, state: ArmState) -> None:
+        """Publish the joints of a state; a disconnected arm has none.
+
+        Effort is the share of full motor duty, -1..1: the servos measure no torque.
+        """
+        if state.position_rad is None or state.velocity_rad_s is None or state.load is None:
+            return
+        message: dict[str, Any] = {
+            "header": {"stamp": Stamp.from_seconds(state.stamp_s).as_message(), "frame_id": ""},
+            "name": list(state.joint_names),
+            "position": state.position_rad.tolist(),
+            "velocity": state.velocity_rad_s.tolist(),
+            "effort": state.load.tolist(),
+        }
+        self._graph.publish(self._joints, TOPIC, message)
+
     def take_health(self, health: ArmHealth) -> None:
         """Publish the limits that the arm process keeps, when they are others."""
         if health.limits_rad is not None:
@@ -106,7 +98,22 @@ class ArmStateTopics:
             )
 
     def _publish_limits(self, ranges_rad: dict[str, tuple[float, float]]) -> None:
-        message = joint_limits(self._robot, ranges_rad)
+        message = {
+            "joint_names": list(ranges_rad),
+            "limits": [
+                {
+                    "joint_name": name,
+                    "has_position_limits": True,
+                    "min_position": lower,
+                    "max_position": upper,
+                    "has_velocity_limits": True,
+                    "max_velocity": self._robot.joints[name].max_velocity,
+                    "has_acceleration_limits": True,
+                    "max_acceleration": self._robot.joints[name].max_acceleration,
+                }
+                for name, (lower, upper) in ranges_rad.items()
+            ],
+        }
         if message != self._limits:
             self._limits = message
             self._graph.publish(self._node, LIMITS_TOPIC, message)
@@ -141,24 +148,4 @@ def status(state: ArmState, robot_name: str, prefix: str = "") -> dict[str, Any]
         "message": message,
         "hardware_id": robot_name,
         "values": key_values(values),
-    }
-
-
-def joint_limits(robot: RobotModel, ranges_rad: dict[str, tuple[float, float]]) -> dict[str, Any]:
-    """The moveit_msgs/KinematicSolverInfo with the limits of joints, whose soft limits are by joint [rad]."""
-    return {
-        "joint_names": list(ranges_rad),
-        "limits": [
-            {
-                "joint_name": name,
-                "has_position_limits": True,
-                "min_position": lower,
-                "max_position": upper,
-                "has_velocity_limits": True,
-                "max_velocity": robot.joints[name].max_velocity,
-                "has_acceleration_limits": True,
-                "max_acceleration": robot.joints[name].max_acceleration,
-            }
-            for name, (lower, upper) in ranges_rad.items()
-        ],
     }

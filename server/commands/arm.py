@@ -5,6 +5,7 @@ import contextlib
 import json
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from robot.calibration import Calibration
@@ -162,13 +163,7 @@ def examine_bus(
 
 
 def as_json(findings: list[Finding]) -> str:
-    return json.dumps(
-        [
-            {"check": finding.check, "verdict": finding.verdict.value, "says": finding.says, "remedy": finding.remedy}
-            for finding in findings
-        ],
-        indent=2,
-    )
+    return json.dumps([asdict(finding) | {"verdict": finding.verdict.value} for finding in findings], indent=2)
 
 
 def _as_text(findings: list[Finding]) -> str:

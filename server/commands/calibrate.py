@@ -5,6 +5,7 @@ import contextlib
 import os
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from robot.calibration import Calibration, new_calibration_path, reserved, save
@@ -97,7 +98,7 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         offsets = {servo_id: held[Register.HOMING_OFFSET] for servo_id, held in registers.items()}
         motions = {} if options.no_directions else asked_motions(robot_folder.resolve(options.robot).model)
         session = CalibrationSession(hardware.servos, motions, recentre=options.write_servos)
-        return _Conversation(session, bus, offsets, path, terminal, yes=options.yes).run()
+        return _Conversation(session, bus, offsets, path, terminal, options.yes).run()
 
 
 def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> dict[int, Mapping[Register, int]]:
@@ -108,27 +109,21 @@ def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> dic
     return result.registers
 
 
+@dataclass(frozen=True)
 class _Conversation:
-    def __init__(
-        self,
-        session: CalibrationSession,
-        bus: Bus,
-        offsets: dict[int, int],
-        path: Path,
-        terminal: Terminal,
-        *,
-        yes: bool,
-    ) -> None:
-        self._session = session
-        self._bus = bus
-        self._ids = tuple(servo.servo_id for servo in session.servos)
-        self._offsets = offsets
-        self._path = path
-        self._terminal = terminal
-        self._yes = yes
+    session: CalibrationSession
+    bus: Bus
+    offsets: dict[int, int]
+    path: Path
+    terminal: Terminal
+    yes: bool
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        return tuple(servo.servo_id for servo in self.session.servos)
 
     def run(self) -> ExitCode:
-        session, terminal = self._session, self._terminal
+        session, terminal = self.session, self.terminal
         while (step := session.step) is not None:
             if step.name == WRITE and session.calibration is not None:
                 terminal.say(_calibration_table(session.calibration))
@@ -145,29 +140,29 @@ class _Conversation:
                     raise
                 continue
             if act is Act.RELAX:
-                if relax_arm(self._bus, session.servos, terminal) is not ExitCode.DONE:
+                if relax_arm(self.bus, session.servos, terminal) is not ExitCode.DONE:
                     return ExitCode.FAILED
-                ticks = {servo_id: read_telemetry(self._bus, servo_id).position_ticks for servo_id in self._ids}
-                session.begin(ticks, self._offsets)
+                ticks = {servo_id: read_telemetry(self.bus, servo_id).position_ticks for servo_id in self.ids}
+                session.begin(ticks, self.offsets)
             elif act is Act.WRITE:
                 self._write()
         return ExitCode.DONE
 
     def _answer(self, step: Step) -> str:
         """Return the answer to a step; positions are followed and shown meanwhile."""
-        if self._yes and step.name in (HOLD, WRITE):
+        if self.yes and step.name in (HOLD, WRITE):
             return step.answers[0]
-        self._terminal.ask(f"{step.instruction}{prompt(step.answers)}")
-        while (line := self._terminal.line_typed()) is None:
+        self.terminal.ask(f"{step.instruction}{prompt(step.answers)}")
+        while (line := self.terminal.line_typed()) is None:
             if step.name != HOLD:
-                frames = self._bus.sync_read(self._ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
-                self._session.take(
+                frames = self.bus.sync_read(self.ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+                self.session.take(
                     {servo: parse_telemetry(frame.data).position_ticks for servo, frame in frames.items()}
                 )
                 rows = [
-                    (each.joint, each.lowest, each.present, each.highest, each.note) for each in self._session.ranges()
+                    (each.joint, each.lowest, each.present, each.highest, each.note) for each in self.session.ranges()
                 ]
-                self._terminal.show_live(table(("joint", "lowest", "present", "highest", ""), rows))
+                self.terminal.show_live(table(("joint", "lowest", "present", "highest", ""), rows))
             time.sleep(SWEEP_PERIOD_S)
         answer = chosen(line, step.answers)
         if step.name == HOLD and answer not in step.answers:
@@ -175,24 +170,24 @@ class _Conversation:
         return answer
 
     def _write(self) -> None:
-        session, terminal = self._session, self._terminal
+        session, terminal = self.session, self.terminal
         calibration = session.calibration
         if calibration is None:
-            raise CalibrationError(str(self._path), "", "there is no result")
-        changes = differences(calibration, scan(self._bus, self._ids).registers)
+            raise CalibrationError(str(self.path), "", "there is no result")
+        changes = differences(calibration, scan(self.bus, self.ids).registers)
         if session.recentre and changes:
             terminal.say("writing to the servos:")
             terminal.say(_differences_table(changes))
-            run_to_end(write_to_servos(self._bus, changes))
+            run_to_end(write_to_servos(self.bus, changes))
         elif session.recentre:
             terminal.say("the servos hold these values already")
         elif changes:
             terminal.say("the servos' angle limits stay as they are (--write-servos would change them):")
             terminal.say(_differences_table(changes))
-        save(calibration, self._path)
+        save(calibration, self.path)
         session.finish()
         terminal.tell(_calibration_table(calibration))
-        terminal.say(f"written to {self._path}; armbridge verify has a running server compare the arm with it")
+        terminal.say(f"written to {self.path}; armbridge verify has a running server compare the arm with it")
 
 
 def _calibration_table(calibration: Calibration) -> str:

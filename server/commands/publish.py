@@ -2,9 +2,7 @@
 
 import argparse
 import asyncio
-import contextlib
 import math
-import signal
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +101,8 @@ def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 def _render(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     from server.datasets.camera import even
     from server.datasets.rendering_client import RenderingClient, open_camera
+    from server.lifecycle import run_until_signal
+    from server.publishing_client import PublishedTopic
 
     robot, published = open_camera(
         options.robot,
@@ -114,11 +114,9 @@ def _render(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         depth=options.depth,
         **({} if options.width is None else {"width": options.width, "height": even(options.width * 3 // 4)}),
     )
-    client = RenderingClient(options.connect, read_token(options), robot, published, terminal.say)
-    # SIGTERM ends it as Ctrl+C does.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with contextlib.suppress(KeyboardInterrupt):
-        client.run()
+    target = PublishedTopic(options.connect, options.topic, read_token(options))
+    client = RenderingClient(target, robot, published, terminal.say)
+    asyncio.run(run_until_signal(client.keep_connected()))
     terminal.tell(f"{client.published} images published on {options.topic}")
     return ExitCode.DONE
 

@@ -108,46 +108,41 @@ class _Work:
         )
 
 
+@dataclass
 class _Visit:
-    def __init__(
-        self,
-        line: ServoLine,
-        arm: Sequence[ServoSpec],
-        own_profile: ServoProfile | None,
-        backup: BackupFile,
-        options: argparse.Namespace,
-        terminal: Terminal,
-    ) -> None:
-        self._line = line
-        self._arm = arm
-        self._own_profile = own_profile
-        self._backup = backup
-        self._options = options
-        self._terminal = terminal
-        self._chosen = [servo for servo in arm if servo.joint in (options.joint or [each.joint for each in arm])]
-        self._problems = False
+    line: ServoLine
+    arm: Sequence[ServoSpec]
+    own_profile: ServoProfile | None
+    backup: BackupFile
+    options: argparse.Namespace
+    terminal: Terminal
+    problems: bool = False
+
+    @property
+    def chosen(self) -> list[ServoSpec]:
+        return [servo for servo in self.arm if not self.options.joint or servo.joint in self.options.joint]
 
     def set_up(self) -> ExitCode:
         """Set the servos up: together if all have their ids, otherwise one by one."""
-        self._terminal.say("looking at the servos ...")
+        self.terminal.say("looking at the servos ...")
         present = self._present()
-        if self._options.registers or all(joint.servo_id in present for joint in self._arm):
-            if missing := [f"{each.servo_id} ({each.joint})" for each in self._chosen if each.servo_id not in present]:
+        if self.options.registers or all(joint.servo_id in present for joint in self.arm):
+            if missing := [f"{each.servo_id} ({each.joint})" for each in self.chosen if each.servo_id not in present]:
                 self._complain(f"no answer from servo {', '.join(missing)}: armbridge scan looks for the cause")
-            there = [(joint, present[joint.servo_id]) for joint in self._chosen if joint.servo_id in present]
+            there = [(joint, present[joint.servo_id]) for joint in self.chosen if joint.servo_id in present]
             if there:
                 profile = self._profile(there)
-                self._terminal.say(
+                self.terminal.say(
                     f"the servos have their ids; their settings are compared with the profile {profile.name}"
                 )
                 self._carry_out([self._work(joint, servo, profile) for joint, servo in there])
         else:
-            self._terminal.say(
+            self.terminal.say(
                 f"New servos all have the id {FACTORY_ID}: connect one at a time. Those that got another id may stay "
                 "connected."
             )
-            for step, joint in enumerate(reversed(self._chosen), start=1):
-                self._terminal.say(f"\nstep {step} of {len(self._chosen)}: {joint.joint}, id {joint.servo_id}")
+            for step, joint in enumerate(reversed(self.chosen), start=1):
+                self.terminal.say(f"\nstep {step} of {len(self.chosen)}: {joint.joint}, id {joint.servo_id}")
                 # Any new servo may be the one with the factory's id.
                 self._set_up_one(joint, present.get(joint.servo_id) if joint.servo_id != FACTORY_ID else None)
         return self._end()
@@ -162,7 +157,7 @@ class _Visit:
                 continue
             before = known[servo.servo_id]
             if before.servo_id != servo.servo_id and len(found) > 1:
-                self._terminal.say(
+                self.terminal.say(
                     f"servo {servo.servo_id} ({before.joint}) keeps its id and baud rate: connect it alone to restore "
                     f"its id {before.servo_id} too"
                 )
@@ -177,19 +172,19 @@ class _Visit:
     def _present(self) -> dict[int, ServoRegisters]:
         """Return the servos that answer, by id; empty when several have one id."""
         try:
-            found = look(self._line, BAUDRATE, {joint.servo_id for joint in self._arm})
+            found = look(self.line, BAUDRATE, {joint.servo_id for joint in self.arm})
         except (StartupError, NoReply) as error:
-            if self._options.registers:
+            if self.options.registers:
                 raise
-            self._terminal.say(str(error))
+            self.terminal.say(str(error))
             return {}
         return {servo.servo_id: servo for servo in found}
 
     def _find(self, ids: Collection[int]) -> list[ServoRegisters]:
         """Return the servos at the first baud rate at which any answers."""
         for baudrate in BAUDRATES:
-            self._terminal.say(f"looking at {baudrate} baud ...")
-            if found := look(self._line, baudrate, ids):
+            self.terminal.say(f"looking at {baudrate} baud ...")
+            if found := look(self.line, baudrate, ids):
                 return found
         raise StartupError(NO_ANSWER)
 
@@ -198,25 +193,25 @@ class _Visit:
         while True:
             try:
                 if servo is None:
-                    self._terminal.await_enter(f"Plug in the servo of {joint.joint}")
-                    only_joint = len(self._options.joint or ()) == 1
-                    servo = search(self._line, joint, self._arm, self._terminal.say, only_joint=only_joint)
+                    self.terminal.await_enter(f"Plug in the servo of {joint.joint}")
+                    only_joint = len(self.options.joint or ()) == 1
+                    servo = search(self.line, joint, self.arm, self.terminal.say, only_joint=only_joint)
                 self._carry_out([self._work(joint, servo, self._profile([(joint, servo)]))])
             except (StartupError, NoReply, PortError) as error:
-                self._line.close()
-                self._terminal.say(str(error))
+                self.line.close()
+                self.terminal.say(str(error))
                 servo = None
             else:
                 return
 
     def _profile(self, servos: Sequence[tuple[ServoSpec, ServoRegisters]]) -> ServoProfile:
         """Return the named profile, else the arm's own, else the nearest."""
-        if self._options.profile is not None:
-            return PROFILES[self._options.profile]
-        return self._own_profile or nearest_profile((servo.registers, joint.gripper) for joint, servo in servos)
+        if self.options.profile is not None:
+            return PROFILES[self.options.profile]
+        return self.own_profile or nearest_profile((servo.registers, joint.gripper) for joint, servo in servos)
 
     def _work(self, joint: ServoSpec, servo: ServoRegisters, profile: ServoProfile) -> _Work:
-        if not self._options.any_model:
+        if not self.options.any_model:
             check_model(servo, joint)
         return _Work(joint.joint, servo, changes_for(servo, joint, profile))
 
@@ -226,34 +221,34 @@ class _Visit:
             if complaint := supply_complaint(each.servo):
                 self._complain(complaint)
             if not needs_writing(each.servo, each.changes):
-                self._terminal.say(f"{each.joint} (id {each.servo.servo_id}) is in order: nothing to write")
+                self.terminal.say(f"{each.joint} (id {each.servo.servo_id}) is in order: nothing to write")
         pending = [each for each in work if needs_writing(each.servo, each.changes)]
         if not pending:
             return
-        self._terminal.say(_differences(pending))
-        if not self._options.yes and not self._terminal.confirm("The servos go limp: support the arm. Write this?"):
+        self.terminal.say(_differences(pending))
+        if not self.options.yes and not self.terminal.confirm("The servos go limp: support the arm. Write this?"):
             self._complain(f"left as they are: {', '.join(each.joint for each in pending)}")
             return
         # Lower the torque of servos that hold an arm, so that it sinks; writing switches it off at once.
         ids = {each.servo.servo_id for each in pending if each.servo.registers[Register.TORQUE_ENABLE]}
-        if holding := [joint for joint in self._arm if joint.servo_id in ids]:
-            relax_arm(self._line.at(pending[0].servo.baudrate), holding, self._terminal)
+        if holding := [joint for joint in self.arm if joint.servo_id in ids]:
+            relax_arm(self.line.at(pending[0].servo.baudrate), holding, self.terminal)
         for number, each in enumerate(pending, start=1):
-            self._backup.save(each.saved, datetime.now(UTC))
-            after = write(self._line, each.servo, each.changes)
+            self.backup.save(each.saved, datetime.now(UTC))
+            after = write(self.line, each.servo, each.changes)
             which = f"{number} of {len(pending)}: " if len(pending) > 1 else ""
             names = ", ".join(change.register.name for change in each.changes)
             written = f"written and read back {names}; " if names else ""
-            self._terminal.say(f"{which}{each.joint} (id {after.servo_id}): {written}EPROM locked")
+            self.terminal.say(f"{which}{each.joint} (id {after.servo_id}): {written}EPROM locked")
 
     def _complain(self, text: str) -> None:
-        self._problems = True
-        self._terminal.say(text)
+        self.problems = True
+        self.terminal.say(text)
 
     def _end(self) -> ExitCode:
-        if self._problems:
+        if self.problems:
             return ExitCode.PROBLEMS
-        self._terminal.say("done")
+        self.terminal.say("done")
         return ExitCode.DONE
 
 

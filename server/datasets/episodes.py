@@ -4,6 +4,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
+from server.errors import ServiceError
+
 EPISODE_TOPIC, EPISODE_TYPE = "/dataset/episode", "std_msgs/String"
 COMPRESSED_IMAGE, RAW_IMAGE = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
 IMAGES = COMPRESSED_IMAGE, RAW_IMAGE
@@ -42,21 +44,21 @@ class Episode:
 
 
 def parse_mark(text: str) -> Mark:
-    """Read a mark, or raise ValueError."""
+    """Read a mark, or raise ServiceError."""
     kind, _, rest = text.strip().partition(" ")
     task = " ".join(rest.split())
     if kind == START:
         return Mark(START, checked_task(task))
     if task or kind not in (STOP, DISCARD):
-        raise ValueError(f"data: must be 'start', 'start TASK', 'stop' or 'discard', not {text[:40]!r}")
+        raise ServiceError(f"data: must be 'start', 'start TASK', 'stop' or 'discard', not {text[:40]!r}")
     return Mark(STOP if kind == STOP else DISCARD)
 
 
 def checked_task(task: str) -> str:
-    """Return a task in one line, or raise ValueError if it is too long."""
+    """Return a task in one line, or raise ServiceError if it is too long."""
     task = " ".join(task.split())
     if len(task) > MAX_TASK_CHARACTERS:
-        raise ValueError(f"task: must have at most {MAX_TASK_CHARACTERS} characters, not {len(task)}")
+        raise ServiceError(f"task: must have at most {MAX_TASK_CHARACTERS} characters, not {len(task)}")
     return task
 
 
@@ -111,7 +113,7 @@ def episodes_of(marks: Iterable[tuple[float, str]], start_s: float, end_s: float
         marked = True
         try:
             state.take(parse_mark(text), at_s)
-        except ValueError as error:
+        except ServiceError as error:
             state.notes.append(f"the mark at {at_s:.1f} s counts for nothing: {error}")
     state.finish(end_s)
     return (state.ended if marked else [Episode(start_s, end_s, "")]), state.notes

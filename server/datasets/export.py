@@ -87,7 +87,7 @@ class _Source:
 
 
 def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
-    """Write a dataset of recordings; raises ExportError, RecordingError and OSError."""
+    """Write a dataset of recordings; raises ServerError and OSError."""
     _check(options)
     problems: list[str] = []
     joints: tuple[str, ...] = ()
@@ -128,10 +128,7 @@ def _check(options: ExportOptions) -> None:
         raise ExportError(f"{options.output} exists already: name another folder (--output)")
     if find_spec("pyarrow") is None:
         raise ExportError("an export needs pyarrow: pip install 'armbridge[datasets]'")
-    try:
-        checked_task(options.task or "")
-    except ValueError as error:
-        raise ExportError(str(error)) from error
+    checked_task(options.task or "")
 
 
 def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, problems: list[str]) -> _Source:

@@ -23,6 +23,7 @@ from server.datasets.episodes import (
     parse_mark,
 )
 from server.diagnostic_values import LEVEL_OK, LEVEL_WARN, key_values
+from server.errors import ServiceError, answering
 from server.graph.node import Node
 from server.graph.permissions import WORKING
 from server.graph.topics import Graph, Subscriber
@@ -106,9 +107,9 @@ class EpisodeServices:
         graph.advertise(self._node, EPISODE_TOPIC, EPISODE_TYPE)
         graph.advertise(self._node, STATE, STATE_TYPE, latch=True)
         graph.subscribe(self._node, EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take, rule=WORKING))
-        graph.services.offer(self._node, START_SERVICE, START_TYPE, self._start, rule=WORKING)
-        graph.services.offer(self._node, STOP_SERVICE, "std_srvs/Trigger", self._stop, rule=WORKING)
-        graph.services.offer(self._node, DISCARD_SERVICE, "std_srvs/Trigger", self._discard, rule=WORKING)
+        graph.services.offer(self._node, START_SERVICE, START_TYPE, answering(self._start), rule=WORKING)
+        graph.services.offer(self._node, STOP_SERVICE, "std_srvs/Trigger", answering(self._stop), rule=WORKING)
+        graph.services.offer(self._node, DISCARD_SERVICE, "std_srvs/Trigger", answering(self._discard), rule=WORKING)
         self._show()
 
     async def run(self) -> None:
@@ -132,7 +133,7 @@ class EpisodeServices:
     def _take(self, published: PublishedMessage) -> None:
         try:
             mark = parse_mark(published.msg["data"])
-        except ValueError as error:
+        except ServiceError as error:
             log.warning("%s: %s", EPISODE_TOPIC, error)
             return
         now_s, was_open = self._clock(), self._marks.open is not None
@@ -197,18 +198,15 @@ class EpisodeServices:
         self._graph.publish(self._node, STATE, status)
 
     def _start(self, request: dict[str, Any]) -> dict[str, Any]:
-        try:
-            mark = Mark(START, checked_task(request["task"]))
-        except ValueError as error:
-            return _refused(str(error))
+        mark = Mark(START, checked_task(request["task"]))
         if self._marks.open is not None:
-            return _refused(f"an episode is in progress: end it first ({STOP_SERVICE} or {DISCARD_SERVICE})")
+            raise ServiceError(f"an episode is in progress: end it first ({STOP_SERVICE} or {DISCARD_SERVICE})")
         self._publish(mark)
         return self._answer(f"episode {len(self._marks.ended) + 1} has begun")
 
     def _stop(self, _request: dict[str, Any]) -> dict[str, Any]:
         if self._marks.open is None:
-            return _refused(f"no episode is in progress: {START_SERVICE} begins one")
+            raise ServiceError(f"no episode is in progress: {START_SERVICE} begins one")
         begun_s, silences = self._marks.open.start_s, self._silences()
         self._publish(Mark(STOP))
         ended = f"episode {len(self._marks.ended)} has ended after {self._clock() - begun_s:.1f} s"
@@ -216,7 +214,7 @@ class EpisodeServices:
 
     def _discard(self, _request: dict[str, Any]) -> dict[str, Any]:
         if self._marks.open is None and not self._marks.ended:
-            return _refused("there is no episode to discard")
+            raise ServiceError("there is no episode to discard")
         which = "the episode in progress" if self._marks.open is not None else "the last episode"
         self._publish(Mark(DISCARD))
         return self._answer(f"{which} is discarded; {len(self._marks.ended)} are left")
@@ -228,7 +226,3 @@ class EpisodeServices:
         if not self._recording():
             message = f"{message}, but {NOT_RECORDED}"
         return {"success": True, "message": message}
-
-
-def _refused(message: str) -> dict[str, Any]:
-    return {"success": False, "message": message}

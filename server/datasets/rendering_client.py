@@ -1,12 +1,11 @@
 """Client that renders the arm and the scene of a server elsewhere: ``armbridge camera physics``."""
 
+import asyncio
 import json
-import time
 from collections.abc import Callable
 from typing import Any
 
-from websockets.exceptions import WebSocketException
-from websockets.sync.client import ClientConnection, connect
+from websockets.asyncio.client import ClientConnection
 
 from robot.description import robot_folder
 from robot.description.model import RobotModel
@@ -14,15 +13,16 @@ from server.datasets.rendered import NS_PER_S, PublishedCamera, RenderedCameras,
 from server.moveit.messages import Message
 from server.moveit.scene.collision_objects import read_collision_object
 from server.moveit.scene.physical_bodies import body_of
-from server.publishing_client import complaint_of
+from server.publishing_client import PublishedTopic, PublishingClient
 
 ANSWER_TIMEOUT_S = 10.0
-RETRY_S = 1.0
-MAX_ANSWER_BYTES = 64 << 20  # a scene of meshes
 
 # moveit_msgs/PlanningSceneComponents: attached objects, geometry and colours. The scene's state has the joints' goals.
-COMPONENTS = 4 | 16 | 512
-STATE_TOPIC = "/joint_states"
+REQUEST = {"components": {"components": 4 | 16 | 512}}
+CALL = {"op": "call_service", "service": "/get_planning_scene", "args": REQUEST, "id": "camera"}
+
+# A state is dropped for the next one while an image is rendered.
+SUBSCRIPTION = {"op": "subscribe", "topic": "/joint_states", "type": "sensor_msgs/JointState", "queue_length": 1}
 
 
 def open_camera(name_or_folder: str, topic: str, quality: int, **settings: Any) -> tuple[RobotModel, PublishedCamera]:
@@ -31,69 +31,49 @@ def open_camera(name_or_folder: str, topic: str, quality: int, **settings: Any) 
     return robot, PublishedCamera(read_camera(robot, settings), topic, quality)
 
 
-class RenderingClient:
-    """Client that renders the arm and the scene of a server, and publishes the images there.
+class RenderingClient(PublishingClient):
+    """Client that renders the arm and the scene of a server, and publishes the images there."""
 
-    The token belongs to a client that may publish; None without one.
-    """
+    max_answer_bytes = 64 << 20  # a scene of meshes
 
     def __init__(
-        self, url: str, token: str | None, robot: RobotModel, published: PublishedCamera, tell: Callable[[str], None]
+        self, target: PublishedTopic, robot: RobotModel, published: PublishedCamera, tell: Callable[[str], None]
     ) -> None:
-        self.published = 0
-        self._url, self._token, self._camera, self._tell = url, token, published, tell
+        super().__init__(target, published.topics, tell)
+        self._camera = published
         self._cameras = RenderedCameras(robot, [published])
-        self._told = ""
 
-    def run(self) -> None:
-        """Publish images until SIGINT, and connect again after each end of a connection, or a refusal."""
-        while True:
-            try:
-                with connect(self._url, max_size=MAX_ANSWER_BYTES, open_timeout=ANSWER_TIMEOUT_S) as connection:
-                    self._announce(connection)
-                    self._publish(connection)
-            except (OSError, TimeoutError, WebSocketException, KeyError, TypeError) as error:
-                self._tell_once(f"{str(error) or type(error).__name__}; trying again every {RETRY_S:g} s")
-                time.sleep(RETRY_S)
+    async def announce(self, connection: ClientConnection) -> None:
+        await super().announce(connection)
+        await connection.send(json.dumps(SUBSCRIPTION))
 
-    def _announce(self, connection: ClientConnection) -> None:
-        if self._token is not None:
-            connection.send(json.dumps({"op": "auth", "token": self._token}))
-        for topic, type_name in self._camera.topics.items():
-            connection.send(json.dumps({"op": "advertise", "topic": topic, "type": type_name}))
-        # A state is dropped for the next one while an image is rendered.
-        states = {"topic": STATE_TOPIC, "type": "sensor_msgs/JointState", "queue_length": 1}
-        connection.send(json.dumps({"op": "subscribe", **states}))
+    async def listen(self, connection: ClientConnection) -> None:
+        """Leave the server's messages to :meth:`publish`."""
 
-    def _publish(self, connection: ClientConnection) -> None:
-        due_s, period_s = time.monotonic(), 1.0 / self._camera.camera.rate_hz
-        state: Message | None = None
+    async def publish(self, connection: ClientConnection) -> None:
+        """Publish an image of each state that is the newest when the last image has been taken."""
+        loop, period_s = asyncio.get_running_loop(), 1.0 / self._camera.camera.rate_hz
+        due_s, state = loop.time(), None
         while True:
             # The server has taken an image when it answers the next call: a slow network gets fewer.
-            before, (state, scene) = state, self._seen(connection, state)
+            before, (state, scene) = state, await self._seen(connection, state)
             if state is not None and state is not before:
                 for topic, message in self._cameras.messages(_read_scene(state, scene), self._camera.topics):
-                    connection.send(json.dumps({"op": "publish", "topic": topic, "msg": message}))
+                    await self.send(connection, message, topic)
                 self.published += 1
-            due_s = max(due_s + period_s, time.monotonic())
-            time.sleep(max(0.0, due_s - time.monotonic()))
+            due_s = max(due_s + period_s, loop.time())
+            await asyncio.sleep(due_s - loop.time())
 
-    def _seen(self, connection: ClientConnection, state: Message | None) -> tuple[Message | None, Message]:
+    async def _seen(self, connection: ClientConnection, state: Message | None) -> tuple[Message | None, Message]:
         """Return the newest sensor_msgs/JointState, which may be the one given, and the moveit_msgs/PlanningScene."""
-        request = {"components": {"components": COMPONENTS}}
-        call = {"op": "call_service", "service": "/get_planning_scene", "args": request, "id": "camera"}
-        connection.send(json.dumps(call))
-        while (answer := json.loads(connection.recv(ANSWER_TIMEOUT_S))).get("id") != "camera":
-            if answer["op"] == "publish":
-                state = answer["msg"]
-            elif complaint := complaint_of(answer):
-                self._tell_once(complaint)
+        await connection.send(json.dumps(CALL))
+        async with asyncio.timeout(ANSWER_TIMEOUT_S):
+            while (answer := json.loads(await connection.recv())).get("id") != CALL["id"]:
+                self.complain(answer)
+                state = answer.get("msg") if answer["op"] == "publish" else state
+        if not answer["result"]:
+            raise ConnectionError(f"the planning scene is refused: {answer['values']}")
         return state, answer["values"]["scene"]
-
-    def _tell_once(self, sentence: str) -> None:
-        if sentence != self._told:
-            self._told = sentence
-            self._tell(f"{self._url}: {sentence}")
 
 
 def _read_scene(state: Message, scene: Message) -> SeenScene:

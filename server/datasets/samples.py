@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from protocol.codecs import cdr
 from protocol.errors import ProtocolError
 from protocol.registry import Registry
-from server.arm.topics import CALIBRATED_RANGE
+from server.arm.topics import CALIBRATED_RANGE, LIMITS_TOPIC
+from server.arm.topics import STATE_TOPIC as ARM_STATE_TOPIC
 from server.chunks.action_chunks import STATE as POLICY_TOPIC
 from server.chunks.action_chunks import PolicyPhase
 from server.datasets.episodes import EPISODE_TOPIC, IMAGES, RAW_IMAGE
@@ -26,8 +27,6 @@ PositionRows: TypeAlias = NDArray[np.float64]
 
 STATE_TOPIC = "/joint_states"
 LEADER_TOPIC = "/teleop/leader_joint_states"
-ARM_STATE_TOPIC = "/arm/state"
-LIMITS_TOPIC = "/arm/joint_limits"
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 CONTROLLER_STATE = "control_msgs/msg/JointTrajectoryControllerState"

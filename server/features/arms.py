@@ -15,7 +15,7 @@ from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibrati
 from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
 from server.arm.services import offer_arm_services, offer_pace
 from server.arm.topics import TOPIC as JOINT_STATES
-from server.arm.topics import ArmStateTopics, JointStates
+from server.arm.topics import ArmStateTopics
 from server.arm.verifying import FirstMotions, VerificationProcedure
 from server.chunks.action_chunks import ActionChunks
 from server.config import Settings
@@ -38,7 +38,6 @@ class ArmControl(Feature):
 
     def __init__(self, context: ServerContext) -> None:
         self._arms = {each.name: each for each in context.arms}
-        self._joint_states = {each.name: JointStates(each.graph) for each in context.arms}
         self._states = {
             each.name: ArmStateTopics(
                 each.graph, each.robot, each.served.arm.state, each.served.description.calibration
@@ -61,7 +60,7 @@ class ArmControl(Feature):
         # The joints of all arms are published without subscribers too, for a recording. One arm's own would cost as
         # much again.
         if not arm or each.graph.subscribers(JOINT_STATES):
-            self._joint_states[arm].publish(read_now(each.served.arm, state))
+            self._states[arm].publish_joints(read_now(each.served.arm, state))
         self._states[arm].take_state(state, each.served.arm.last_stop)
 
     def on_health(self, arm: str, health: ArmHealth) -> None:

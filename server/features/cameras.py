@@ -25,7 +25,7 @@ from server.datasets.rendered import (
     color_of,
     read_camera,
 )
-from server.errors import GraphError
+from server.errors import GraphError, answering
 from server.features.context import ServerContext
 from server.features.physics import Physics
 from server.graph.node import Node
@@ -96,7 +96,7 @@ class Cameras(Feature):
         services = context.graph.services
         for name, serve in (("Set", self._set), ("Remove", self._remove)):
             offered, type_name = f"/simulation/{name.lower()}_camera", f"armbridge_msgs/srv/{name}Camera"
-            services.offer(self._node, offered, type_name, serve, rule=WORKING)
+            services.offer(self._node, offered, type_name, answering(serve), rule=WORKING)
 
     async def start(self) -> None:
         self._publish_frames(())
@@ -189,28 +189,23 @@ class Cameras(Feature):
         return each, replace(before[1], position_m=pose.position_m, orientation=pose.orientation)
 
     def _set(self, request: Message) -> Message:
-        name, refusal = request["name"], ""
+        name = request["name"]
         if self._failure:
-            refusal = self._failure
-        elif name not in self._cameras and not re.fullmatch(CAMERA_NAME, name):
-            refusal = f"name must be at most 31 lower-case letters, digits and _, a letter first, not {name!r}"
-        elif name not in self._cameras and len(self._cameras) >= MAX_CAMERAS:
-            refusal = f"there are {MAX_CAMERAS} cameras at most: remove one first"
-        if refusal:
-            return {"success": False, "message": refusal}
-        try:
-            settings = {key: value for key, value in request.items() if value and key != "name"}
-            camera = PublishedCamera(read_camera(self._robot, settings), f"/{name}/image/compressed")
-            self._change(name, camera)
-        except (CameraError, GraphError) as error:
-            return {"success": False, "message": str(error)}
+            raise CameraError(self._failure)
+        if name not in self._cameras and not re.fullmatch(CAMERA_NAME, name):
+            raise CameraError(f"name must be at most 31 lower-case letters, digits and _, a letter first, not {name!r}")
+        if name not in self._cameras and len(self._cameras) >= MAX_CAMERAS:
+            raise CameraError(f"there are {MAX_CAMERAS} cameras at most: remove one first")
+        settings = {key: value for key, value in request.items() if value and key != "name"}
+        camera = PublishedCamera(read_camera(self._robot, settings), f"/{name}/image/compressed")
+        self._change(name, camera)
         return {"success": True, "message": f"{name} is on {', '.join(camera.topics)}"}
 
     def _remove(self, request: Message) -> Message:
         name = request["name"]
         if name not in self._cameras:
             known = ", ".join(self._cameras) or "none"
-            return {"success": False, "message": f"there is no camera {name!r}; there are: {known}"}
+            raise CameraError(f"there is no camera {name!r}; there are: {known}")
         self._change(name, None)
         return {"success": True, "message": f"{name} is removed"}
 

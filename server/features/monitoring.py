@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from robot.messages import ArmHealth, ArmState
-from server.config import RecordingSettings
 from server.datasets.marking import EpisodeServices
 from server.features.clients import Clients
 from server.features.context import ServerContext
-from server.graph.topics import Graph
 from server.lifecycle import BackgroundTask, Feature
 from server.monitoring.fault_files import FaultFiles
 from server.monitoring.health import Sources
@@ -105,10 +102,18 @@ class Recording(Feature):
     deadline_s = 0.8
 
     def __init__(self, context: ServerContext) -> None:
+        graph, settings = context.graph, context.settings.recording
         # A recording has the time of the arm where that is faster than the machine's.
-        clock = context.graph.message_types.wall_clock if context.settings.simulation.rate != 1.0 else None
-        self.recorder = open_recorder(context.settings.recording, context.graph, context.planning.robot.name, clock)
-        self._looking = BackgroundTask("episodes", EpisodeServices(context.graph, self._records, clock).run)
+        clock = graph.message_types.wall_clock if context.settings.simulation.rate != 1.0 else None
+        self.recorder: Recorder | None = None
+        if settings.file is not None:
+            # Imported when it is needed: most servers record nothing, and start without the library.
+            from server.recording.files import check_path
+            from server.recording.recorder import Recorder
+
+            check_path(settings.file)
+            self.recorder = Recorder(graph, settings.file, settings, {"robot": context.planning.robot.name}, clock)
+        self._looking = BackgroundTask("episodes", EpisodeServices(graph, self._records, clock).run)
 
     async def open_file(self) -> None:
         if self.recorder is not None:
@@ -123,27 +128,3 @@ class Recording(Feature):
 
     def _records(self) -> bool:
         return self.recorder is not None and not self.recorder.ended
-
-
-def open_recorder(
-    settings: RecordingSettings, graph: Graph, robot_name: str, clock: Callable[[], float] | None
-) -> Recorder | None:
-    """Begin to take messages for the recording, if the settings name a file; `Recorder.start` opens it.
-
-    The clock gives seconds since the epoch that never go back; None for the machine's.
-    """
-    if settings.file is None:
-        return None
-    # Imported when it is needed: most servers record nothing, and start without the library.
-    from server.recording.files import check_path
-    from server.recording.recorder import Recorder
-
-    check_path(settings.file)
-    facts = {"robot": robot_name}
-    if clock is None:
-        return Recorder(graph, settings.file, settings, facts)
-
-    def clock_ns() -> int:
-        return round(1e9 * clock())
-
-    return Recorder(graph, settings.file, settings, facts, clock_ns, clock_ns)

@@ -27,7 +27,7 @@ from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import PlannedMotion, Positions
-from server.execution.queue import GoalListener, GoalQueue
+from server.execution.queue import GoalListener
 from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import SWITCHING
@@ -85,18 +85,11 @@ def rest_pose(robot: RobotModel, settings: ArmSettings) -> RestPose | None:
 
 
 class ArmParking:
-    """Parking of one arm, and the service for it.
-
-    Attributes:
-        name: of one of several arms; empty for a lone arm.
-        leads: True for an arm that is moved by hand.
-    """
+    """Parking of one arm, and the service for it."""
 
     def __init__(self, arm: Arm, context: ArmContext) -> None:
         settings = context.served.settings
-        self.name, self.leads = context.served.name, context.served.leads
-        self._arm = arm
-        self._context = context
+        self.arm, self.context = arm, context
         self._pose = rest_pose(context.robot, settings)
         # True for an arm that parks at the end of the server.
         self.parks_on_exit = settings.on_exit is EndState.PARK and self._pose is not None
@@ -109,12 +102,12 @@ class ArmParking:
         context.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._serve, rule=SWITCHING)
 
     def _serve(self, _request: Message) -> Awaitable[Message]:
-        return trigger_response(self.park(self._context.graph.resolve(PARK)))
+        return trigger_response(self.park(self.context.graph.resolve(PARK)))
 
     @property
     def _no_pose(self) -> str:
         return (
-            f"The arm cannot be parked: its SRDF has no state {self._context.robot.park_state!r}; name one by "
+            f"The arm cannot be parked: its SRDF has no state {self.context.robot.park_state!r}; name one by "
             "arm.park_state, or by park in the table [planning] of its robot.toml."
         )
 
@@ -123,12 +116,12 @@ class ArmParking:
     def park(self, source: str) -> asyncio.Future[CommandDone]:
         """End all goals, move the arm to its rest pose, and relax it there; an arm that cannot come to it holds."""
         pose = self._pose
-        refused = self._no_pose if pose is None else STOPPED_SINCE if is_stopped(self._arm.last_stop) else ""
+        refused = self._no_pose if pose is None else STOPPED_SINCE if is_stopped(self.arm.last_stop) else ""
         if pose is None or refused:
             answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
             answered.set_result(CommandDone(0, done=False, message=refused))
             return answered
-        self._context.stop(f"the arm is parked by {source}")
+        self.context.stop(f"the arm is parked by {source}")
         # Goals of others end by a stop; the way to the rest pose is requested after it.
         task = asyncio.create_task(self._park(source, pose, STOP_EPOCHS.present), name="park the arm")
         self._parked.add(task)
@@ -137,18 +130,18 @@ class ArmParking:
         return asyncio.shield(task)
 
     async def _park(self, source: str, pose: RestPose, epoch: int) -> CommandDone:
-        joints = frozenset(self._context.robot.groups[pose.group].joints)
+        joints = frozenset(self.context.robot.groups[pose.group].joints)
         # Motions outside the queue, as of the gripper, end too before the way is planned.
-        await self._arm.rest(REST_TIMEOUT_S)
+        await self.arm.rest(REST_TIMEOUT_S)
         motion = PlannedMotion((self._way(),), joints)
-        goal = self._context.goals.queue.submit(GoalRequest(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch))
+        goal = self.context.goals.queue.submit(GoalRequest(source, motion, policy=GoalPolicy.QUEUE, epoch=epoch))
         answer = await goal.answered
         if answer.code is not MoveItErrorCode.SUCCESS:
             log.warning("%s: the arm is not parked: %s", source, answer.message)
             return CommandDone(0, done=False, message=f"the arm is not parked: {answer.message}")
-        if is_stopped(self._arm.last_stop, epoch):
+        if is_stopped(self.arm.last_stop, epoch):
             return CommandDone(0, done=False, message=f"the arm is at its rest pose, and holds: {STOPPED_SINCE}")
-        relaxed = await self._arm.order(Order.RELAX)
+        relaxed = await self.arm.order(Order.RELAX)
         log.info("%s: the arm is at its rest pose %s; %s", source, pose.state, relaxed.message)
         if not relaxed.done:
             return relaxed
@@ -157,21 +150,21 @@ class ArmParking:
     def _way(self) -> GoalStep:
         if self._pose is None:
             raise AssertionError("a way to no pose is planned")
-        group = self._context.robot.groups[self._pose.group]
-        goal = JointGoal(self._pose.positions_rad, self._context.parameters.joint_tolerance)
-        return GoalStep(self._context.planning.problems, group, goal)
+        group = self.context.robot.groups[self._pose.group]
+        goal = JointGoal(self._pose.positions_rad, self.context.parameters.joint_tolerance)
+        return GoalStep(self.context.planning.problems, group, goal)
 
     # The way that the arm process keeps for its end.
 
     async def prepare_exit(self) -> None:
         """Have the arm process know the way from where the arm has come to rest, before the server ends."""
-        await self._arm.rest(REST_TIMEOUT_S)
+        await self.arm.rest(REST_TIMEOUT_S)
         # The end of a motion may come ahead of the state that shows where the arm holds.
         for _ in range(STATE_POLLS):
-            if self._arm.state.mode is not Mode.MOVING:
+            if self.arm.state.mode is not Mode.MOVING:
                 break
             await asyncio.sleep(STATE_POLL_S)
-        positions_rad = self._context.planning.current.positions_rad()
+        positions_rad = self.context.planning.current.positions_rad()
         if not self.holds or positions_rad is None:
             return
         plan = await self.plan_way(positions_rad)
@@ -180,21 +173,17 @@ class ArmParking:
         else:
             log.warning("no way to the rest pose from here, where the arm is relaxed: %s", plan.message)
 
-    async def close_arm(self) -> None:
-        """End the process of the arm, which takes it to its rest pose."""
-        await self._arm.close()
-
     @property
     def holds(self) -> bool:
-        return self._arm.state.mode is Mode.HOLDING
+        return self.arm.state.mode is Mode.HOLDING
 
     async def plan_way(self, start_rad: Positions) -> Plan | PlanningFailure:
         """Plan the way to the rest pose from positions of all joints [rad]."""
         problem = self._way().problem(start_rad)
         bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
-        scene_state = self._context.planning.scene_state
+        scene_state = self.context.planning.scene_state
         scene = scene_state.scene
-        plan = await self._context.planning.pool.ask(bounded, scene)
+        plan = await self.context.planning.pool.ask(bounded, scene)
         if scene.version == scene_state.scene.version:
             return plan
         return PlanningFailure(
@@ -209,14 +198,14 @@ class ArmParking:
                 plan.trajectory.duration_s,
                 PARKING_TIMEOUT_S,
             )
-        held_rad = {joint.name: start_rad[joint.name] for joint in self._context.robot.movable_joints}
-        self._arm.keep_parking(ParkingPlan(plan.trajectory, held_rad))
+        held_rad = {joint.name: start_rad[joint.name] for joint in self.context.robot.movable_joints}
+        self.arm.keep_parking(ParkingPlan(plan.trajectory, held_rad))
         self._keeps = True
         log.debug("the way to the rest pose is known: %.2f s", plan.trajectory.duration_s)
 
     def forget(self) -> None:
         if self._keeps:
-            self._arm.keep_parking(None)
+            self.arm.keep_parking(None)
             self._keeps = False
 
 
@@ -283,7 +272,8 @@ class KeptWays:
                 if isinstance(plan, Plan):
                     plans[each] = plan
                 else:
-                    refusal = replace(plan, message=f"{each.name}: {plan.message}" if each.name else plan.message)
+                    name = each.context.name
+                    refusal = replace(plan, message=f"{name}: {plan.message}" if name else plan.message)
         for first, second in itertools.combinations((plan.trajectory for plan in plans.values()), 2):
             moving = {*first.joint_names, *second.joint_names}
             others_rad = {name: value for name, value in place.held_rad.items() if name not in moving}
@@ -326,27 +316,17 @@ class LastClient:
     """Parks or relaxes the arm some time after the last client that may drive has left."""
 
     def __init__(
-        self,
-        arm: Arm,
-        settings: ArmSettings,
-        drivers: Collection[object],
-        queue: GoalQueue,
-        parking: ArmParking,
-        clock: Callable[[], float] = time.monotonic,
+        self, parking: ArmParking, drivers: Collection[object], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._arm = arm
-        self._policy = settings.on_last_client
-        self._delay_s = settings.last_client_delay_s
-        self._drivers = drivers
-        self._queue = queue
-        self._parking = parking
-        self._clock = clock
+        settings, self._queue = parking.context.served.settings, parking.context.goals.queue
+        self._policy, self._delay_s = settings.on_last_client, settings.last_client_delay_s
+        self._parking, self._arm, self._drivers, self._clock = parking, parking.arm, drivers, clock
         self._present = False
         self._left_s: float | None = None
 
     async def run(self) -> None:
-        """Watch until cancelled; return at once for the policy ``nothing``."""
-        while self._policy != "nothing":
+        """Watch until cancelled."""
+        while True:
             await asyncio.sleep(CHECK_S)
             if self.due():
                 await self._act()
@@ -396,10 +376,9 @@ class Parkings(Feature, GoalListener):
         self._several = len(context.single_arms) > 1
         self.last_clients: list[BackgroundTask] = []
         for each, arm in context.single_arms:
-            parking, settings = ArmParking(arm, each), each.served.settings
-            self._parkings.append(parking)
-            if settings.on_last_client != "nothing":
-                last_client = LastClient(arm, settings, context.access.drivers, context.goals.queue, parking)
+            self._parkings.append(parking := ArmParking(arm, each))
+            if each.served.settings.on_last_client != "nothing":
+                last_client = LastClient(parking, context.access.drivers)
                 self.last_clients.append(BackgroundTask("the last client", last_client.run))
         keeping = [
             each for each in self._parkings if each.parks_when_lost or (each.parks_on_exit and not self._several)
@@ -413,7 +392,8 @@ class Parkings(Feature, GoalListener):
 
     async def _park_each(self, _request: Message) -> Message:
         """Park the arms one after the other: on their ways at the same time they could wait for each other."""
-        done = {each.name: await each.park(PARK) for each in self._parkings if not each.leads}
+        arms = [each for each in self._parkings if not each.context.served.leads]
+        done = {each.context.name: await each.park(PARK) for each in arms}
         said = "; ".join(f"{name}: {one.message}" for name, one in done.items())
         return {"success": all(one.done for one in done.values()), "message": said}
 
@@ -437,5 +417,5 @@ class Parkings(Feature, GoalListener):
             if each.parks_on_exit and (self._several or not known):
                 await each.prepare_exit()
             if each.parks_on_exit and self._several:
-                # The next arm's way is planned around this one at its rest pose.
-                await each.close_arm()
+                # It goes to its rest pose, around which the next arm's way is planned.
+                await each.arm.close()

@@ -18,7 +18,7 @@ from robot.errors import RobotError
 from robot.messages import ArmState, Mode, PauseSimulation
 from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, Body, BodyState, SetBodies
 from server.config import NamedArmSettings
-from server.errors import ConfigurationError, RefusedError
+from server.errors import ConfigurationError, RefusedError, ServerError, ServiceError, answering
 from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import WORKING
@@ -151,8 +151,8 @@ class Physics(Feature):
             self._open_world(settings.world, settings.world_seed, context)
         node, services = Node("simulation"), context.graph.services
         for name, type_name, serve in (
-            ("set_body", SET_BODY_TYPE, self._set_body),
-            ("set_pose", "armbridge_msgs/srv/SetBodyPose", self._set_pose),
+            ("set_body", SET_BODY_TYPE, answering(self._set_body)),
+            ("set_pose", "armbridge_msgs/srv/SetBodyPose", answering(self._set_pose)),
             ("reset", "std_srvs/srv/Trigger", self._reset),
             ("pause", "std_srvs/srv/SetBool", self._pause),
             ("step", "armbridge_msgs/srv/StepSimulation", self._step),
@@ -160,7 +160,7 @@ class Physics(Feature):
             services.offer(node, f"/simulation/{name}", type_name, serve, rule=WORKING)
         for each in worlds:
             if each.name:
-                set_body = functools.partial(self._set_body, mover=each.name)
+                set_body = answering(functools.partial(self._set_body, mover=each.name))
                 each.graph.offer(node, "/simulation/set_body", SET_BODY_TYPE, set_body, rule=WORKING)
         self._scene.on_change(self._follow_scene)
 
@@ -297,28 +297,24 @@ class Physics(Feature):
         name = request["id"]
         each = self._scene.contents.objects.get(name)
         if each is None:
-            refusal = f"there is no object {name!r} in the planning scene"
-        elif name not in self._bodies:
-            refusal = f"physics has {MAX_BODIES} objects at most, and {name!r} is left out"
-        else:
-            refusal = self._note_movable(request, each, mover)
-        if each is None or refusal:
-            return {"success": False, "message": refusal}
+            raise ServiceError(f"there is no object {name!r} in the planning scene")
+        if name not in self._bodies:
+            raise ServiceError(f"physics has {MAX_BODIES} objects at most, and {name!r} is left out")
+        self._note_movable(request, each, mover)
         self._send({**self._bodies, name: self._body_of(each)}, {})
         return {"success": True, "message": f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"}
 
-    def _note_movable(self, request: Message, each: CollisionObject, mover: str | None = None) -> str:
-        """Note figures of a body, which the nearest arm moves for None; return the reason for a refusal, or empty."""
+    def _note_movable(self, request: Message, each: CollisionObject, mover: str | None = None) -> None:
+        """Note figures of a body, which the nearest arm moves for None; raises ServiceError for wrong ones."""
         if refusal := body_refusal(request):
-            return refusal
+            raise ServiceError(refusal)
         self._movable.pop(each.name, None)
         if request["movable"]:
             if any(isinstance(shape, Plane) for shape, _ in each.shapes):
-                return f"{each.name!r} has a plane, and cannot be movable"
+                raise ServiceError(f"{each.name!r} has a plane, and cannot be movable")
             if mover is None:
                 mover = min(self._worlds.values(), key=lambda world: world.distance_m(each.pose)).name
             self._movable[each.name] = _Movable(request["mass"], request["friction"] or DEFAULT_FRICTION, mover)
-        return ""
 
     def _open_world(self, name: str, seed: int, context: ServerContext) -> None:
         """Begin with the world of a file, its movable objects at places drawn with a seed."""
@@ -328,16 +324,13 @@ class Physics(Feature):
             scene, requests = read_world(name, context.graph.message_types)
             self._scene.apply_diff(scene, None)
             objects = self._scene.contents.objects
-            refusals = (self._note_movable(request, objects[request["id"]]) for request in requests)
-            refusal = next(filter(None, refusals), "")
             if len(objects) > MAX_BODIES:
-                refusal = f"it has {len(objects)} objects, more than {MAX_BODIES}"
-            wanted = tuple(map(self._body_of, objects.values()))
-            bodies = () if refusal else placed(context.whole.robot, wanted, seed)
-        except (OSError, ValueError, MessageError, RefusedError, RobotError) as error:
+                raise ServiceError(f"it has {len(objects)} objects, more than {MAX_BODIES}")
+            for request in requests:
+                self._note_movable(request, objects[request["id"]])
+            bodies = placed(context.whole.robot, tuple(map(self._body_of, objects.values())), seed)
+        except (OSError, ValueError, MessageError, ServerError, RobotError) as error:
             raise ConfigurationError(f"simulation.world: {name}: {error}") from error
-        if refusal:
-            raise ConfigurationError(f"simulation.world: {name}: {refusal}")
         self._apply({each.name: replace(objects[each.name], pose=_pose(each)) for each in bodies}, ())
         self._world = self._scene.contents, dict(self._movable)
 
@@ -359,17 +352,11 @@ class Physics(Feature):
     def _set_pose(self, request: dict[str, Any]) -> Message:
         name = request["id"]
         if name not in self._bodies:
-            refusal = f"the physics has no object {name!r}"
-        elif not self._bodies[name].movable:
-            refusal = f"{name!r} stays where it is: move it in the planning scene, or make it movable first"
-        else:
-            try:
-                self._place({name: read_bounded_pose(request["pose"], "pose")})
-            except RefusedError as error:
-                refusal = str(error)
-            else:
-                return {"success": True, "message": f"{name} is put there"}
-        return {"success": False, "message": refusal}
+            raise ServiceError(f"the physics has no object {name!r}")
+        if not self._bodies[name].movable:
+            raise ServiceError(f"{name!r} stays where it is: move it in the planning scene, or make it movable first")
+        self._place({name: read_bounded_pose(request["pose"], "pose")})
+        return {"success": True, "message": f"{name} is put there"}
 
     def _place(self, poses: Mapping[str, Pose]) -> None:
         """Put movable bodies at poses now, out of the fingers too."""

@@ -94,31 +94,64 @@ class RecordedMessage(NamedTuple):
     octets: bytes
 
 
-class McapFile:
-    """MCAP file with the profile ``ros2`` and a channel for each topic and type.
+class RecordingSeries:
+    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, all of them new; all methods may raise OSError.
 
-    All methods may raise OSError.
+    Each is an MCAP file with the profile ``ros2`` and a channel for each topic and type.
     """
 
-    def __init__(self, stream: BinaryIO, registry: Registry, facts: dict[str, str]) -> None:
-        self._stream = stream
+    def __init__(
+        self, path: Path, registry: Registry, facts: dict[str, str], limit_bytes: int | None = None, keep: int = 0
+    ) -> None:
+        self._path = path
         self._registry = registry
-        self._writer = Writer(stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._schemas: dict[str, int] = {}
-        # By topic and type: the channel's id and its number of messages.
-        self._channels: dict[tuple[str, str], list[int]] = {}
-        version = metadata.version("armbridge")
-        self._writer.start(profile="ros2", library=f"armbridge {version}")
-        self._writer.add_metadata(METADATA_NAME, {"version": version, **facts})
-        # Readers recognize the file from here on, and a full disk has raised its error.
-        self._writer.flush()
+        self._facts = facts
+        self._limit_bytes = limit_bytes
+        self._keep = keep
+        self._number = 0
+        self._paths: deque[Path] = deque()
+        self._latched: dict[str, RecordedMessage] = {}
+        self._latched_bytes = 0
+        self._begin()
 
     @property
-    def size_bytes(self) -> int:
-        """Size of the file, without the chunk that is not complete yet."""
-        return self._stream.tell()
+    def path(self) -> Path:
+        return self._paths[-1]
 
     def add(self, message: RecordedMessage) -> None:
+        if self._limit_bytes is not None:
+            # Without the chunk that is not complete yet.
+            if self._stream.tell() >= self._limit_bytes:
+                self.end({})
+                self._begin()
+                for latched in self._latched.values():
+                    self._write(latched._replace(log_time_ns=message.log_time_ns))
+            if message.latched:
+                previous = self._latched.pop(message.topic, None)
+                self._latched_bytes -= 0 if previous is None else len(previous.octets)
+                if self._latched_bytes + len(message.octets) <= MAX_LATCHED_BYTES:
+                    self._latched[message.topic] = message
+                    self._latched_bytes += len(message.octets)
+        self._write(message)
+
+    def flush(self) -> None:
+        """End the current chunk, so that it outlives this process."""
+        self._writer.flush()
+
+    def end(self, facts: dict[str, str]) -> None:
+        self._writer.flush()
+        if facts:
+            self._writer.add_metadata(METADATA_NAME, facts)
+        self._writer.finish()
+        self._stream.close()
+
+    def abandon(self) -> None:
+        """Close the file without its end, after an error."""
+        # Buffered data meet the same error again.
+        with contextlib.suppress(OSError):
+            self._stream.close()
+
+    def _write(self, message: RecordedMessage) -> None:
         channel = self._channels.get((message.topic, message.type_name))
         if channel is None:
             schema = self._schemas.get(message.type_name)
@@ -133,74 +166,22 @@ class McapFile:
         channel[1] += 1
         self._writer.add_message(channel[0], message.log_time_ns, message.octets, message.publish_time_ns, channel[1])
 
-    def flush(self) -> None:
-        """End the current chunk, so that it outlives this process."""
-        self._writer.flush()
-
-    def end(self, facts: dict[str, str]) -> None:
-        self._writer.flush()
-        if facts:
-            self._writer.add_metadata(METADATA_NAME, facts)
-        self._writer.finish()
-        self._stream.close()
-
-
-class RecordingSeries:
-    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, all of them new; all methods may raise OSError."""
-
-    def __init__(
-        self, path: Path, registry: Registry, facts: dict[str, str], limit_bytes: int | None, keep: int
-    ) -> None:
-        self._path = path
-        self._registry = registry
-        self._facts = facts
-        self._limit_bytes = limit_bytes
-        self._keep = keep
-        self._number = 0
-        self._paths: deque[Path] = deque()
-        self._latched: dict[str, RecordedMessage] = {}
-        self._latched_bytes = 0
-        self._file = self._begin()
-
-    @property
-    def path(self) -> Path:
-        return self._paths[-1]
-
-    def add(self, message: RecordedMessage) -> None:
-        if self._limit_bytes is not None:
-            if self._file.size_bytes >= self._limit_bytes:
-                self._file.end({})
-                self._file = self._begin()
-                for latched in self._latched.values():
-                    self._file.add(latched._replace(log_time_ns=message.log_time_ns))
-            if message.latched:
-                previous = self._latched.pop(message.topic, None)
-                self._latched_bytes -= 0 if previous is None else len(previous.octets)
-                if self._latched_bytes + len(message.octets) <= MAX_LATCHED_BYTES:
-                    self._latched[message.topic] = message
-                    self._latched_bytes += len(message.octets)
-        self._file.add(message)
-
-    def flush(self) -> None:
-        self._file.flush()
-
-    def end(self, facts: dict[str, str]) -> None:
-        self._file.end(facts)
-
-    def abandon(self) -> None:
-        """Close the file without its end, after an error."""
-        # Buffered data meet the same error again.
-        with contextlib.suppress(OSError):
-            self._stream.close()
-
-    def _begin(self) -> McapFile:
+    def _begin(self) -> None:
         self._stream, path = self._open_next()
         self._paths.append(path)
         if self._keep and len(self._paths) > self._keep:
             self._paths.popleft().unlink(missing_ok=True)
         log.info("recording to %s", path)
+        self._schemas: dict[str, int] = {}
+        # By topic and type: the channel's id and its number of messages.
+        self._channels: dict[tuple[str, str], list[int]] = {}
+        version = metadata.version("armbridge")
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         try:
-            return McapFile(self._stream, self._registry, self._facts)
+            self._writer.start(profile="ros2", library=f"armbridge {version}")
+            self._writer.add_metadata(METADATA_NAME, {"version": version, **self._facts})
+            # Readers recognize the file from here on, and a full disk has raised its error.
+            self._writer.flush()
         except OSError:
             self.abandon()
             raise

@@ -7,11 +7,9 @@ import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 from protocol.codecs import cdr
 from protocol.publication import PublishedMessage
-from protocol.registry import Registry
 from robot.logs import LogLimiter
 from server.config import RecordingSettings
 from server.errors import StartError
@@ -43,7 +41,14 @@ CLOSE_TIMEOUT_S = 2.0
 
 
 class Recorder:
-    """Records a graph from its construction to :meth:`close`; messages wait in memory until :meth:`start`."""
+    """Records a graph from its construction to :meth:`close`; messages wait in memory until :meth:`start`.
+
+    A thread writes them, so that neither disk nor compression blocks the event loop. An error ends the recording, and
+    nothing else.
+
+    Attributes:
+        dropped: messages missing because the file could not be written fast enough.
+    """
 
     def __init__(
         self,
@@ -51,19 +56,27 @@ class Recorder:
         path: Path,
         settings: RecordingSettings,
         facts: dict[str, str] | None = None,
-        clock_ns: Callable[[], int] = time.monotonic_ns,
-        wall_clock_ns: Callable[[], int] = time.time_ns,
+        clock: Callable[[], float] | None = None,
     ) -> None:
+        """Take messages; the clock gives seconds since the epoch that never go back, None for the machine's."""
         self._graph = graph
         self._registry = graph.message_types.registry
         self._path = path
         self._settings = settings
         self._facts = facts or {}
-        self._clock_ns = clock_ns
-        # A wall clock that is set during a recording would tear a gap into it.
-        self._epoch_ns = wall_clock_ns() - clock_ns()
+        self._clock = clock
+        # The machine's clock, when it is set during a recording, would tear a gap into it.
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()
         self._unknown_types = LogLimiter()
-        self._writer = WriterThread(self._registry)
+        # Each with its size [bytes], True for a latched one, and its time of recording [ns].
+        self._queue: deque[tuple[PublishedMessage, int, bool, int]] = deque()
+        # Each is changed by one thread only; their difference is the size of the queue.
+        self._put_bytes = 0
+        self._written_bytes = 0
+        self.dropped = 0
+        self._stopping = threading.Event()
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
         graph.watch(self._record)
 
     def start(self) -> None:
@@ -73,66 +86,8 @@ class Recorder:
             files = RecordingSeries(self._path, self._registry, self._facts, limit_bytes, self._settings.keep_files)
         except OSError as error:
             raise StartError(f"recording.file: {self._path} cannot be written: {error.strerror or error}") from error
-        self._writer.start(files)
-
-    @property
-    def dropped(self) -> int:
-        """Messages missing because the file could not be written fast enough."""
-        return self._writer.dropped
-
-    @property
-    def queued(self) -> int:
-        return self._writer.queued
-
-    @property
-    def ended(self) -> bool:
-        """True once nothing more is recorded, after an error too."""
-        return self._writer.ended
-
-    async def close(self) -> None:
-        """Stop recording, and end the file; there is none without :meth:`start`."""
-        self._graph.unwatch(self._record)
-        if not await asyncio.to_thread(self._writer.close):
-            log.error("recording: %s was not ended within %g s; its content can be read", self._path, CLOSE_TIMEOUT_S)
-
-    def _record(self, published: PublishedMessage, latched: bool) -> None:
-        if self._writer.ended:
-            return
-        if not self._registry.knows(published.type_name):
-            line = f"recording: {published.topic} is left out, the type {published.type_name} is unknown"
-            self._unknown_types.write(log, logging.WARNING, line, published.type_name)
-            return
-        log_time_ns = self._epoch_ns + self._clock_ns()
-        self._writer.put(QueuedMessage(published, latched, published.size_bytes, log_time_ns))
-
-
-class QueuedMessage(NamedTuple):
-    """Message that waits to be written."""
-
-    published: PublishedMessage
-    latched: bool
-    size_bytes: int
-    log_time_ns: int
-
-
-class WriterThread:
-    """Thread that writes queued messages, so that neither disk nor compression blocks the event loop.
-
-    An error ends the recording, and nothing else.
-    """
-
-    def __init__(self, registry: Registry) -> None:
-        self._registry = registry
-        self._queue: deque[QueuedMessage] = deque()
-        # Each is changed by one thread only; their difference is the size of the queue.
-        self._put_bytes = 0
-        self._written_bytes = 0
-        self.dropped = 0
-        self._dropped_logged = 0
-        self._drops_logged_at_s = -DROPS_LOG_PERIOD_S
-        self._stopping = threading.Event()
-        self._ended = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._thread = threading.Thread(target=self._write, args=(files,), name="recording", daemon=True)
+        self._thread.start()
 
     @property
     def queued(self) -> int:
@@ -140,32 +95,40 @@ class WriterThread:
 
     @property
     def ended(self) -> bool:
-        """True once nothing more will be written."""
+        """True once nothing more is recorded, after an error too."""
         return self._ended.is_set()
 
-    def start(self, files: RecordingSeries) -> None:
-        self._thread = threading.Thread(target=self._run, args=(files,), name="recording", daemon=True)
-        self._thread.start()
-
-    def put(self, message: QueuedMessage) -> None:
-        """Queue a message, or count it as dropped; never waits."""
-        queued_bytes = self._put_bytes - self._written_bytes
-        if len(self._queue) >= MAX_QUEUED_MESSAGES or queued_bytes + message.size_bytes > MAX_QUEUED_BYTES:
-            self.dropped += 1
-            return
-        self._put_bytes += message.size_bytes
-        self._queue.append(message)
-
-    def close(self) -> bool:
-        """Write the queued messages and end the file; returns False if that takes longer than `CLOSE_TIMEOUT_S`."""
+    async def close(self) -> None:
+        """Stop recording, write the queued messages, and end the file; there is none without :meth:`start`."""
+        self._graph.unwatch(self._record)
+        self._stopping.set()
         if self._thread is None:
             self._ended.set()
-            return True
-        self._stopping.set()
-        self._thread.join(CLOSE_TIMEOUT_S)
-        return not self._thread.is_alive()
+            return
+        await asyncio.to_thread(self._thread.join, CLOSE_TIMEOUT_S)
+        if self._thread.is_alive():
+            log.error("recording: %s was not ended within %g s; its content can be read", self._path, CLOSE_TIMEOUT_S)
 
-    def _run(self, files: RecordingSeries) -> None:
+    def _record(self, published: PublishedMessage, latched: bool) -> None:
+        """Queue a message, or count it as dropped; never waits."""
+        if self.ended:
+            return
+        if not self._registry.knows(published.type_name):
+            line = f"recording: {published.topic} is left out, the type {published.type_name} is unknown"
+            self._unknown_types.write(log, logging.WARNING, line, published.type_name)
+            return
+        log_time_ns = self._epoch_ns + time.monotonic_ns() if self._clock is None else round(1e9 * self._clock())
+        size_bytes = published.size_bytes
+        queued_bytes = self._put_bytes - self._written_bytes
+        if len(self._queue) >= MAX_QUEUED_MESSAGES or queued_bytes + size_bytes > MAX_QUEUED_BYTES:
+            self.dropped += 1
+            return
+        self._put_bytes += size_bytes
+        self._queue.append((published, size_bytes, latched, log_time_ns))
+
+    # The thread.
+
+    def _write(self, files: RecordingSeries) -> None:
         try:
             self._write_until_stopped(files)
             files.end({"dropped_messages": str(self.dropped)})
@@ -182,7 +145,7 @@ class WriterThread:
 
     def _write_until_stopped(self, files: RecordingSeries) -> None:
         flush_at_s = time.monotonic() + FLUSH_PERIOD_S
-        stopping = False
+        stopping, dropped_logged, drops_logged_at_s = False, 0, -DROPS_LOG_PERIOD_S
         # Once more after the stop, for messages that came until then.
         while not stopping:
             stopping = self._stopping.wait(POLL_PERIOD_S)
@@ -190,20 +153,15 @@ class WriterThread:
             for number in range(len(self._queue)):
                 if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:
                     time.sleep(PAUSE_S)
-                message = self._queue.popleft()
-                published = message.published
+                published, size_bytes, latched, log_time_ns = self._queue.popleft()
                 octets = cdr.serialize(self._registry, published.type_name, published.msg)
-                publish_time_ns = published.received.sec * 1_000_000_000 + published.received.nanosec
-                times = message.log_time_ns, publish_time_ns
-                files.add(RecordedMessage(published.topic, published.type_name, message.latched, *times, octets))
-                self._written_bytes += message.size_bytes
+                times = log_time_ns, published.received.sec * 1_000_000_000 + published.received.nanosec
+                files.add(RecordedMessage(published.topic, published.type_name, latched, *times, octets))
+                self._written_bytes += size_bytes
             now_s = time.monotonic()
             if now_s >= flush_at_s:
                 files.flush()
                 flush_at_s = now_s + FLUSH_PERIOD_S
-            if self.dropped > self._dropped_logged and now_s - self._drops_logged_at_s >= DROPS_LOG_PERIOD_S:
-                log.warning(
-                    "recording: %d messages were dropped, the disk or the processor is too slow",
-                    self.dropped - self._dropped_logged,
-                )
-                self._dropped_logged, self._drops_logged_at_s = self.dropped, now_s
+            if self.dropped > dropped_logged and now_s - drops_logged_at_s >= DROPS_LOG_PERIOD_S:
+                dropped, dropped_logged, drops_logged_at_s = self.dropped - dropped_logged, self.dropped, now_s
+                log.warning("recording: %d messages were dropped, the disk or the processor is too slow", dropped)

@@ -3,8 +3,9 @@
 Files of ROS 2 messages are read also when they were not ended or are damaged.
 """
 
+from __future__ import annotations
+
 import asyncio
-import contextlib
 import itertools
 import logging
 import math
@@ -32,7 +33,7 @@ from server.gateway.settings import ServerSettings
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
-from server.lifecycle import on_hangup, stop_signals
+from server.lifecycle import on_hangup, stop_signals, unless_ended
 from server.recording.files import RecordedMessage, is_latched
 from server.rosapi import RosApi
 
@@ -215,60 +216,46 @@ def replay(options: ReplayOptions) -> None:
     Raises RecordingError for the file, ConfigurationError for certificate and tokens, or none where others could
     connect, and StartError for the port.
     """
-    uvloop.run(ReplayServer(options).run())
+    uvloop.run(serve(options))
 
 
-class ReplayServer:
-    """Server that replays a recording to its clients."""
+async def serve(options: ReplayOptions) -> None:
+    """Start a server, play until the end or a signal, stop."""
+    graph = Graph(load_registry(options.server.interfaces))
+    RosApi(graph)
+    # There is no arm to control, so no client needs the lease.
+    access = Access(options.access.model_copy(update={"control": "shared"}))
+    listener = Listener(graph, options.server, access=access)
+    recording = RecordingFile(options.path)
+    player = RecordingPlayer(graph, recording, options.rate)
+    ending, _hurry = stop_signals()
+    on_hangup(listener.reload_certificate, ending.set)
+    summary = await asyncio.to_thread(recording.summary)
+    try:
+        await listener.bind()
+        await listener.open()
+        # After the listener: recorded topics are not mixed with its own.
+        player.advertise(summary.topics)
+        incomplete = (
+            "" if summary.complete else "; the file was not ended in good order, what can be read of it is played"
+        )
+        log.info(
+            "%s",
+            f"armbridge.recordings {options.path}: {listener.url} (rosbridge), "
+            f"{len(summary.topics)} topics, {summary.messages} messages, {summary.duration_s:.1f} s{incomplete}",
+        )
+        await unless_ended(ending, _play(player, options))
+    finally:
+        await listener.close()
+    log.info("replay ended: %d messages published, %d could not be read", player.published, player.unreadable)
 
-    def __init__(self, options: ReplayOptions) -> None:
-        self._options = options
-        self._graph = Graph(load_registry(options.server.interfaces))
-        RosApi(self._graph)
-        # There is no arm to control, so no client needs the lease.
-        access = Access(options.access.model_copy(update={"control": "shared"}))
-        self._listener = Listener(self._graph, options.server, access=access)
-        self._recording = RecordingFile(options.path)
-        self._player = RecordingPlayer(self._graph, self._recording, options.rate)
 
-    async def run(self) -> None:
-        """Start, play until the end or a signal, stop."""
-        ending, _hurry = stop_signals()
-        on_hangup(self._listener.reload_certificate, ending.set)
-        summary = await asyncio.to_thread(self._recording.summary)
-        try:
-            await self._listener.bind()
-            await self._listener.open()
-            # After the listener: recorded topics are not mixed with its own.
-            self._player.advertise(summary.topics)
-            incomplete = (
-                "" if summary.complete else "; the file was not ended in good order, what can be read of it is played"
-            )
-            log.info(
-                "%s",
-                f"armbridge.recordings {self._options.path}: {self._listener.url} (rosbridge), "
-                f"{len(summary.topics)} topics, {summary.messages} messages, {summary.duration_s:.1f} s{incomplete}",
-            )
-            playing = asyncio.create_task(self._play())
-            ended = asyncio.create_task(ending.wait())
-            try:
-                await asyncio.wait([playing, ended], return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                ended.cancel()
-                playing.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await playing
-        finally:
-            await self._listener.close()
-        player = self._player
-        log.info("replay ended: %d messages published, %d could not be read", player.published, player.unreadable)
-
-    async def _play(self) -> None:
-        await asyncio.sleep(self._options.delay_s)
-        await self._player.play()
-        while self._options.loop:
-            await asyncio.sleep(LOOP_PAUSE_S)
-            await self._player.play()
+async def _play(player: RecordingPlayer, options: ReplayOptions) -> None:
+    await asyncio.sleep(options.delay_s)
+    await player.play()
+    while options.loop:
+        await asyncio.sleep(LOOP_PAUSE_S)
+        await player.play()
 
 
 class RecordingPlayer:

@@ -325,15 +325,8 @@ class Teaching(Feature):
         )
 
     def _show(self) -> None:
-        recorder = self._recorder
-        self._graph.publish(
-            self._node,
-            STATE_TOPIC,
-            {
-                "recording": recorder is not None,
-                "name": "" if recorder is None else recorder.name,
-                "duration_s": 0.0 if recorder is None else recorder.duration_s,
-                "points": 0 if recorder is None else recorder.points,
-                "message": self._told,
-            },
-        )
+        message: dict[str, Any] = {"message": self._told}
+        if (recorder := self._recorder) is not None:
+            message |= {"recording": True, "name": recorder.name}
+            message |= {"duration_s": recorder.duration_s, "points": recorder.points}
+        self._graph.publish(self._node, STATE_TOPIC, message)

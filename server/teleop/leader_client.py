@@ -54,7 +54,7 @@ class LeaderClient(PublishingClient):
     """
 
     def __init__(self, target: PublishedTopic, samples: NewestSample, tell: Callable[[str], None]) -> None:
-        super().__init__(target, SAMPLE_TYPE, tell)
+        super().__init__(target, {target.topic: SAMPLE_TYPE}, tell)
         self._samples = samples
 
     async def publish(self, connection: ClientConnection) -> None:

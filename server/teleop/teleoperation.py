@@ -5,7 +5,7 @@ import functools
 import logging
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from protocol.errors import MessageError
@@ -180,8 +180,8 @@ class Teleoperation(Feature):
         self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start, SWITCHING)
         self._offer(below + STOP, "std_srvs/srv/Trigger", stop, STOPPING)
         self._offer(below + CLUTCH, "std_srvs/srv/SetBool", set_clutch, SWITCHING)
-        state = FollowingState(FollowingPhase.IDLE, f"nothing follows: {below}{START} begins", 0.0, 0.0, 1.0)
-        self._graph.publish(self._node, below + STATE_TOPIC, _state_message("", "", state))
+        idle = {"phase": "idle", "message": f"nothing follows: {below}{START} begins", "speed_scale": 1.0}
+        self._graph.publish(self._node, below + STATE_TOPIC, idle)
 
     @property
     def observes_states(self) -> bool:
@@ -317,7 +317,8 @@ class Teleoperation(Feature):
         if state.phase is not following.phase:
             following.phase = state.phase
             log.info("teleoperation of %s: %s", follower.name, state.message or state.phase.value)
-        message = _state_message(follower.name, following.leader.name, state)
+        names = {"follower": follower.name, "leader": following.leader.name}
+        message = {**names, **asdict(state), "phase": state.phase.value}
         self._graph.publish(self._node, STATE_TOPIC, message)
         if follower.prefix:
             self._graph.publish(self._node, f"/{follower.name}{STATE_TOPIC}", message)
@@ -344,18 +345,6 @@ class Teleoperation(Feature):
         arm = name[1:].partition("/")[0]
         rule = replace(rule, arm=arm if arm in self._followers else "")
         self._graph.services.offer(self._node, name, type_name, telling(name, work, log), rule=rule)
-
-
-def _state_message(follower: str, leader: str, state: FollowingState) -> dict[str, Any]:
-    return {
-        "follower": follower,
-        "leader": leader,
-        "phase": state.phase.value,
-        "message": state.message,
-        "latency_s": state.latency_s,
-        "lag_rad": state.lag_rad,
-        "speed_scale": state.speed_scale,
-    }
 
 
 def _verb(names: Collection[str], verb: str) -> str:

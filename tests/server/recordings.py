@@ -7,7 +7,7 @@ from typing import Any
 from protocol.codecs import cdr
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from server.recording.files import McapFile, RecordedMessage
+from server.recording.files import RecordedMessage, RecordingSeries
 from server.recording.replay import RecordingFile
 
 REGISTRY = Registry.load()
@@ -36,11 +36,12 @@ def text(number: int, topic: str = "/t") -> RecordedMessage:
 
 
 def record(path: Path, entries: Iterable[RecordedMessage], registry: Registry = REGISTRY) -> Path:
-    """Write a whole recording."""
-    file = McapFile(path.open("wb"), registry, {})
+    """Write a whole recording in place of what is there."""
+    path.unlink(missing_ok=True)
+    files = RecordingSeries(path, registry, {})
     for each in entries:
-        file.add(each)
-    file.end({})
+        files.add(each)
+    files.end({})
     return path
 
 
@@ -51,10 +52,11 @@ def recorded_messages(path: Path) -> list[RecordedMessage]:
 
 def record_killed(path: Path, chunks: Iterable[Iterable[RecordedMessage]]) -> Path:
     """Write a recording, in these chunks, of a process that ends without ending it."""
-    with path.open("wb") as stream:
-        file = McapFile(stream, REGISTRY, {})
-        for chunk in chunks:
-            for each in chunk:
-                file.add(each)
-            file.flush()
+    path.unlink(missing_ok=True)
+    files = RecordingSeries(path, REGISTRY, {})
+    for chunk in chunks:
+        for each in chunk:
+            files.add(each)
+        files.flush()
+    files.abandon()
     return path

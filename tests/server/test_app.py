@@ -8,18 +8,10 @@ from protocol.limits import Limits
 from server.app import App
 from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
-from server.features.monitoring import Recording, open_recorder
+from server.features.monitoring import Recording
 from server.gateway.settings import ServerSettings
-from server.graph.topics import Graph
 from server.recording.replay import RecordingFile
 from server.zenoh.settings import ZenohSettings
-from tests.helpers.messages import REGISTRY
-
-
-def test_a_recording_begins_with_a_file_that_can_be_written(tmp_path: Path) -> None:
-    assert open_recorder(RecordingSettings(), Graph(REGISTRY), "so101", None) is None
-    with pytest.raises(ConfigurationError, match=r"recording\.file: .* cannot be written"):
-        open_recorder(RecordingSettings(file=tmp_path / "no" / "run.mcap"), Graph(REGISTRY), "so101", None)
 
 
 async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
@@ -57,6 +49,7 @@ async def test_a_recording_has_what_the_server_latches_when_it_is_made(tmp_path:
         {"arm": {"calibration": "/no/such/file"}},
         {"emulator": {"write_log": "/no/such/folder/file"}},
         {"moveit": {"planning_frame": "nowhere"}},
+        {"recording": {"file": "/no/such/folder/run.mcap"}},
     ],
 )
 async def test_settings_that_are_refused_leave_no_recording_behind(tmp_path: Path, wrong: dict[str, Any]) -> None:
@@ -76,10 +69,3 @@ async def test_a_start_that_is_refused_leaves_no_recording_behind(tmp_path: Path
             await app.run()
     assert str(refused.value) == f"port in use: 127.0.0.1:{port} is taken by another program; choose one with --port"
     assert not (tmp_path / "run.mcap").exists()
-
-
-async def test_a_recording_at_a_directory_is_refused_and_no_file_is_made_beside_it(tmp_path: Path) -> None:
-    (tmp_path / "run.mcap").mkdir()
-    with pytest.raises(ConfigurationError, match=r"run.mcap must be a regular file or not exist; it is a directory"):
-        App(Settings(recording=RecordingSettings(file=tmp_path / "run.mcap")))
-    assert not (tmp_path / "run_1.mcap").exists()

@@ -4,24 +4,14 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from harness.server import ROOT
 from harness.waiting import TIMEOUT_S
-from robot import arm, logs
-from server import app, cli
-from server.errors import StartError
+from server import cli
 from server.installation import PAGE_DIRECTORY, version_line
 from tests.helpers.programs import run_python
-
-
-@pytest.fixture
-def alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have a server start no process, and leave the logging as it is."""
-    monkeypatch.setattr(arm, "start_arm_process", lambda: SimpleNamespace(close=lambda: None))
-    monkeypatch.setattr(logs, "configure", lambda *_arguments: None)
 
 
 @pytest.mark.parametrize("arguments", [["config"], ["--help"]])
@@ -65,28 +55,6 @@ def test_unknown_commands_and_options_are_usage_errors(capsys: pytest.CaptureFix
     assert exit_code_of("serve", "--prot", "9191") == 2
     said = capsys.readouterr().err
     assert said.splitlines()[-1] == "armbridge: error: --prot: unknown; did you mean --port?"
-
-
-@pytest.mark.usefixtures("alone")
-def test_a_failed_start_is_one_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def fail(*_arguments: object) -> None:
-        raise StartError("port in use: 127.0.0.1:9090")
-
-    monkeypatch.setattr(app, "serve", fail)
-    assert cli.main(["serve"]) == 1
-    assert capsys.readouterr().err == "armbridge: port in use: 127.0.0.1:9090\n"
-
-
-@pytest.mark.usefixtures("alone")
-@pytest.mark.parametrize(
-    ("options", "words"), [(["--calibration"], "calibration"), (["--srdf", "/x.srdf", "--urdf"], "cannot be read")]
-)
-def test_a_file_that_cannot_be_used_is_one_line_and_exit_2(
-    options: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["serve", "--port", "0", *options, str(tmp_path / "missing")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert words in line
 
 
 # Sessions of zenoh whose callbacks never end; the interpreter's own end would abort for nearly every one.

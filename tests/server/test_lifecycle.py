@@ -26,10 +26,6 @@ def recorder(taken: list[str], name: str, takes_s: float = 0.0) -> Callable[[], 
     return end
 
 
-def part(name: str, stop: Callable[[], Awaitable[None]], deadline_s: float) -> Part:
-    return Part(name, stop=stop, deadline_s=deadline_s)
-
-
 async def test_parts_start_in_order_and_one_that_fails_is_among_those_to_stop() -> None:
     taken: list[str] = []
 
@@ -64,9 +60,9 @@ async def test_parts_stop_in_reverse_also_behind_one_that_hangs_or_fails(caplog:
         raise ValueError("no such thing")
 
     steps = [
-        part("clients", recorder(taken, "clients"), 1.0),
-        part("goals", recorder(taken, "goals", 60.0), 0.02),
-        part("zenoh", broken, 1.0),
+        Part("clients", stop=recorder(taken, "clients"), deadline_s=1.0),
+        Part("goals", stop=recorder(taken, "goals", 60.0), deadline_s=0.02),
+        Part("zenoh", stop=broken, deadline_s=1.0),
     ]
     await asyncio.wait_for(stop_in_reverse(steps, TOTAL_S), 1.0)
     assert taken == ["zenoh", "goals", "clients"]
@@ -85,7 +81,8 @@ async def test_a_step_that_does_not_even_let_itself_be_cancelled_holds_nothing_u
             except asyncio.CancelledError:
                 taken.append("cancelled")
 
-    steps = [part("next", recorder(taken, "next"), 1.0), part("stubborn", stubborn, 0.01)]
+    hanging = Part("stubborn", stop=stubborn, deadline_s=0.01)
+    steps = [Part("next", stop=recorder(taken, "next"), deadline_s=1.0), hanging]
     await asyncio.wait_for(stop_in_reverse(steps, TOTAL_S), 1.0)
     released.set()
     assert taken == ["cancelled", "next"]
@@ -94,7 +91,7 @@ async def test_a_step_that_does_not_even_let_itself_be_cancelled_holds_nothing_u
 async def test_a_hurry_leaves_each_step_little_time() -> None:
     taken: list[str] = []
     hurry = asyncio.Event()
-    steps = [part(name, recorder(taken, name, 60.0), 30.0) for name in ("b", "a")]
+    steps = [Part(name, stop=recorder(taken, name, 60.0), deadline_s=30.0) for name in ("b", "a")]
     loop = asyncio.get_running_loop()
     loop.call_later(0.01, hurry.set)
     await stop_in_reverse(steps, 60.0, hurry, loop.time)
@@ -106,7 +103,7 @@ async def test_a_step_beyond_the_total_leaves_the_others_their_time(caplog: pyte
     taken: list[str] = []
     loop = asyncio.get_running_loop()
     arm = Part("arm", stop=recorder(taken, "arm", 20.0), deadline_s=30.0, beyond_total=True)
-    clients = part("clients", recorder(taken, "clients", 0.8), 1.0)
+    clients = Part("clients", stop=recorder(taken, "clients", 0.8), deadline_s=1.0)
     await stop_in_reverse([clients, arm], TOTAL_S, clock=loop.time)
     assert taken == ["arm", "clients"]
     assert caplog.text == ""

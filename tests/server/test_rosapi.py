@@ -252,7 +252,7 @@ class Kept(Parameters):
     """Parameters, asked as by a service."""
 
     def ask(self, service: str, dialect: Dialect = "ros2", /, **request: Any) -> dict[str, Any]:
-        return self.handlers[service][1](Request(request, dialect))
+        return self.handlers[service](Request(request, dialect))
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import pytest
 from harness.clients import ArmClient, values_of
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
-from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, JointStates, states_are_observed
+from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, states_are_observed
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
@@ -82,11 +82,10 @@ async def test_a_late_subscriber_gets_state_and_limits_at_once(client: ArmClient
     assert all(each["min_position"] < each["max_position"] for each in limits["limits"])
 
 
-def test_joints_are_published_with_the_time_of_their_reading_and_not_of_an_arm_that_is_not_there() -> None:
-    graph, array = Graph(REGISTRY), np.array([0.1, -0.2])
-    publisher, joint_states = JointStates(LocalGraph(graph)), listen(graph, TOPIC)
-    publisher.publish(ArmState(1.8e9, Mode.DISCONNECTED, ("a",), reason="unplugged"))
-    publisher.publish(
+def test_joints_are_published_with_the_time_of_their_reading_and_not_of_an_arm_that_is_not_there(heard: Heard) -> None:
+    array, joint_states = np.array([0.1, -0.2]), listen(heard.graph, TOPIC)
+    heard.topics.publish_joints(ArmState(1.8e9, Mode.DISCONNECTED, ("a",), reason="unplugged"))
+    heard.topics.publish_joints(
         ArmState(1234.25, Mode.HOLDING, ("a", "b"), position_rad=array, velocity_rad_s=array * 2, load=array * 3)
     )
     assert joint_states == [

@@ -21,6 +21,7 @@ from tests.server.recordings import record, text
         (["--calibration", "nobodys"], "nobodys"),
         (["--port", "70000"], "server.port"),
         (["--urdf", "a.urdf"], "urdf and srdf must be given together"),
+        (["--urdf", "/nowhere.urdf", "--srdf", "/nowhere.srdf"], "/nowhere.urdf cannot be read"),
         (["--config", "/nowhere.toml"], "/nowhere.toml cannot be read"),
     ],
 )
@@ -101,20 +102,6 @@ def test_a_replay_has_the_settings_of_a_file_and_needs_a_token(
     assert cli.main([*arguments, "--insecure"]) == ExitCode.DONE
     monkeypatch.setenv("ARMBRIDGE_ACCESS__TOKEN", "correct-horse-battery")
     assert cli.main(arguments) == ExitCode.DONE
-
-
-@pytest.mark.parametrize(
-    ("option", "value", "words"),
-    [
-        ("--rate", "0", "must be 0.01 to 100, not '0'"),
-        ("--rate", "fast", "must be 0.01 to 100, not 'fast'"),
-        ("--delay", "-1", "must be 0 to 3600, not '-1'"),
-    ],
-)
-def test_a_wrong_option_is_named(option: str, value: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match=str(int(ExitCode.USAGE))):
-        cli.main(["replay", "run.mcap", option, value])
-    assert f"argument {option}: {words}" in capsys.readouterr().err
 
 
 def test_a_start_that_cannot_be_is_told_in_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:

@@ -90,23 +90,6 @@ def test_without_opencv_its_extra_is_named(monkeypatch: pytest.MonkeyPatch, caps
     assert capsys.readouterr().err == "armbridge: a camera needs OpenCV: pip install 'armbridge[camera]'\n"
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "sentence"),
-    [
-        ("--connect", "http://x", "must begin with ws:// or wss://, not 'http://x'"),
-        ("--fps", "0", "must be a whole number from 1 to 60, not '0'"),
-        ("--width", "9", "must be a whole number from 16 to 4096, not '9'"),
-        ("--quality", "96", "must be a whole number from 1 to 95, not '96'"),
-    ],
-)
-def test_an_option_out_of_range_is_refused_with_the_range(
-    option: str, value: str, sentence: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit):
-        main(["camera", "test", option, value])
-    assert f"{option}: {sentence}" in capsys.readouterr().err
-
-
 @pytest.mark.skipif(importlib.util.find_spec("cv2") is None, reason="the extra [camera] is not installed: no OpenCV")
 def test_a_video_file_is_read_to_its_end_and_a_device_that_cannot_be_opened_is_said(tmp_path: Path) -> None:
     with pytest.raises(CameraError, match="OpenCV cannot open it; is it a camera or a video, and free"):

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import itertools
 import json
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import pytest
+from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import ServerConnection, serve
 
-from harness.waiting import wait_until
+from harness.waiting import given_up, until
 from robot.physics import renderer
-from server.datasets import rendering_client
+from server import publishing_client
 from server.datasets.camera import CameraError
 from server.datasets.rendered import RenderedCameras, SeenScene
 from server.datasets.rendering_client import RenderingClient, open_camera
+from server.publishing_client import PublishedTopic
 from tests.helpers.rendering import needs_egl
 from tests.helpers.robots import so101
 from tests.server.datasets.test_rendered import CAMERA, VIEW
@@ -36,45 +36,31 @@ def test_a_camera_that_cannot_be_is_refused(settings: dict[str, object], refusal
         open_camera("so101", CAMERA.topic, 80, frame="", **settings)
 
 
-def operations(connection: ServerConnection) -> Iterator[dict[str, Any]]:
-    """The operations of a client until it has left, by a close frame that names its error."""
-    with contextlib.suppress(ConnectionClosed):
-        while True:
-            yield json.loads(connection.recv())
-
-
-@contextlib.contextmanager
-def ended_client(
-    answer: Callable[[ServerConnection], None], last_wait: Callable[[], bool], told: list[str] | None = None
-) -> Iterator[tuple[str, RenderingClient]]:
-    """A client that has run up to one of its waits, at a server that goes on answering, and the URL of that."""
-
-    def wait(_duration_s: float) -> None:
-        if last_wait():
-            raise KeyboardInterrupt
-
-    with serve(answer, "127.0.0.1", 0) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        url = f"ws://127.0.0.1:{server.socket.getsockname()[1]}"
-        client = RenderingClient(url, None, so101(), CAMERA, ([] if told is None else told).append)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(rendering_client.time, "sleep", wait)
-            with pytest.raises(KeyboardInterrupt):
-                client.run()
-        yield url, client
+@contextlib.asynccontextmanager
+async def client_of(
+    answer: Callable[[ServerConnection], Awaitable[None]], told: list[str]
+) -> AsyncIterator[RenderingClient]:
+    """A client that runs at a server."""
+    async with serve(answer, "127.0.0.1", 0) as server:
+        target = PublishedTopic(f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}", CAMERA.topic, None)
+        client = RenderingClient(target, so101(), CAMERA, told.append)
+        running = asyncio.create_task(client.keep_connected())
+        yield client
+        await given_up(running)
 
 
 @needs_egl
-def test_an_image_shows_the_state_whose_stamp_it_has_not_the_goals_nor_the_time_of_sending() -> None:
+async def test_an_image_shows_the_state_whose_stamp_it_has_not_the_goals_nor_the_time_of_sending() -> None:
     images: list[dict[str, Any]] = []
     goals = {"header": {"stamp": {"sec": 9, "nanosec": 0}}, "name": ["shoulder_pan"], "position": [0.0]}
     around = {"robot_state": {"joint_state": goals, "attached_collision_objects": []}, "object_colors": []}
     values = {"scene": {**around, "world": {"collision_objects": []}}}
     calls = 0
 
-    def answer(connection: ServerConnection) -> None:
+    async def answer(connection: ServerConnection) -> None:
         nonlocal calls
-        for operation in operations(connection):
+        async for frame in connection:
+            operation = json.loads(frame)
             if operation["op"] == "publish" and operation["topic"] == CAMERA.topic:
                 images.append(operation["msg"])
             elif operation["op"] == "call_service":
@@ -83,12 +69,12 @@ def test_an_image_shows_the_state_whose_stamp_it_has_not_the_goals_nor_the_time_
                 if calls in (2, 4):
                     header = {"stamp": {"sec": calls, "nanosec": 7}}
                     state = {"header": header, "name": ["shoulder_pan"], "position": [0.25 * calls]}
-                    connection.send(json.dumps({"op": "publish", "topic": "/joint_states", "msg": state}))
+                    await connection.send(json.dumps({"op": "publish", "topic": "/joint_states", "msg": state}))
                 response = {"op": "service_response", "id": "camera", "result": True, "values": values}
-                connection.send(json.dumps(response))
+                await connection.send(json.dumps(response))
 
-    with ended_client(answer, lambda: calls > 5) as (_, client):
-        wait_until(lambda: len(images) == 2)
+    async with client_of(answer, []) as client:
+        await until(lambda: calls > 5)
     assert client.published == 2
     assert [image["header"]["stamp"] for image in images] == [{"sec": sec, "nanosec": 7} for sec in (2, 4)]
     cameras = RenderedCameras(so101(), [CAMERA])
@@ -97,20 +83,26 @@ def test_an_image_shows_the_state_whose_stamp_it_has_not_the_goals_nor_the_time_
         assert image["data"] == expected
 
 
-def test_a_refused_camera_leaves_the_server_before_it_tries_again(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_refused_camera_leaves_the_server_before_it_tries_again(monkeypatch: pytest.MonkeyPatch) -> None:
     here: set[ServerConnection] = set()
     told: list[str] = []
-    tries = itertools.count(1)
+    others: list[int] = []
 
-    def refuse(connection: ServerConnection) -> None:
+    async def refuse(connection: ServerConnection) -> None:
+        others.append(len(here))
         here.add(connection)
-        for operation in operations(connection):
-            if operation["op"] == "call_service":
-                connection.send(json.dumps({"op": "status", "level": "error", "msg": "not you"}))
-                connection.send(json.dumps({"op": "service_response", "id": "camera", "result": False, "values": "no"}))
+        with contextlib.suppress(ConnectionClosed):
+            async for frame in connection:
+                if json.loads(frame)["op"] == "call_service":
+                    refusal = {"op": "service_response", "id": "camera", "result": False, "values": "no"}
+                    await connection.send(json.dumps({"op": "status", "level": "error", "msg": "not you"}))
+                    await connection.send(json.dumps(refusal))
         here.remove(connection)
 
     monkeypatch.setattr(renderer, "ArmRenderer", lambda *_: None)
-    with ended_client(refuse, lambda: next(tries) == 3, told) as (url, _):
-        wait_until(lambda: not here)
-    assert f"{url}: not you" in told
+    monkeypatch.setattr(publishing_client, "FIRST_DELAY_S", 0.01)
+    async with client_of(refuse, told):
+        await until(lambda: len(others) == 3)
+    assert others == [0, 0, 0]
+    assert sum(sentence.endswith(": not you") for sentence in told) == 1
+    assert any("the planning scene is refused: no; trying again in" in sentence for sentence in told)

@@ -19,7 +19,6 @@ from planners.problem import (
     Request,
 )
 from planners.scene import EMPTY_SCENE, Scene
-from robot.arm import Arm
 from robot.arm_group import ArmGroup
 from robot.description.joined import prefixed
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, Mode, Order, ParkingPlan
@@ -27,7 +26,7 @@ from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.goal import Goal, GoalRequest, GoalState, Progress
 from server.execution.monitors import CurrentState
-from server.execution.queue import GoalListener, GoalQueue
+from server.execution.queue import GoalListener
 from server.features.context import ArmContext, ServerContext
 from server.features.parking import CHECK_S, ArmParking, LastClient, Parkings, rest_pose
 from server.graph.local_graph import LocalGraph
@@ -113,8 +112,9 @@ class World:
 
     def _context(self, name: str, graph: Graph, settings: ArmSettings) -> ArmContext:
         context = SimpleNamespace(
+            name=name,
             robot=prefixed(ROBOT, name) if name else ROBOT,
-            served=SimpleNamespace(name=name, leads=False, settings=settings),
+            served=SimpleNamespace(leads=False, settings=settings),
             parameters=MoveItParameters(),
             planning=self.planning,
             goals=self.goals,
@@ -297,8 +297,9 @@ class Leaving:
         self.done: list[str] = []
         self.state = SimpleNamespace(mode=Mode.HOLDING)
         settings = ArmSettings.model_validate({"on_last_client": policy, "last_client_delay_s": 5.0})
-        arm, queue, parking = cast("Arm", self), cast("GoalQueue", self), cast("ArmParking", self)
-        self.last = LastClient(arm, settings, self.drivers, queue, parking, lambda: self.now_s)
+        served, goals = SimpleNamespace(settings=settings), SimpleNamespace(queue=self)
+        self.arm, self.context = self, SimpleNamespace(served=served, goals=goals)
+        self.last = LastClient(cast("ArmParking", self), self.drivers, lambda: self.now_s)
 
     def park(self, _source: str) -> asyncio.Future[CommandDone]:
         return self._did("park", done=self.parks)
@@ -353,13 +354,13 @@ def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_and_after_goals
 @pytest.mark.parametrize(
     ("policy", "parks", "done"),
     [
-        ("nothing", True, []),
         ("park", True, ["park"]),
         ("park", False, ["park", "relax"]),
         ("relax", True, ["relax"]),
     ],
 )
 async def test_the_policy_says_what_becomes_of_the_arm(policy: str, *, parks: bool, done: list[str]) -> None:
+    assert [len(World(**set_).parkings.last_clients) for set_ in ({}, {"on_last_client": policy})] == [0, 1]
     leaving = Leaving(policy, parks=parks)
     running = asyncio.create_task(leaving.last.run())
     await leaving.leave()

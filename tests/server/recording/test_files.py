@@ -16,14 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from server.errors import ConfigurationError
 from server.recording import files
-from server.recording.files import (
-    METADATA_NAME,
-    QOS_KEY,
-    McapFile,
-    RecordingSeries,
-    check_path,
-    is_latched,
-)
+from server.recording.files import METADATA_NAME, QOS_KEY, RecordingSeries, check_path, is_latched
 from tests.server.recordings import REGISTRY, START_NS, entry, record, recorded_messages, text
 
 # One file: what is written is read by the MCAP project's own reader for ROS 2.
@@ -78,7 +71,7 @@ def test_a_foreign_reader_understands_the_schema_of_every_type(tmp_path: Path) -
 
 
 def test_facts_are_kept_as_metadata(tmp_path: Path) -> None:
-    McapFile((tmp_path / "run.mcap").open("wb"), REGISTRY, {"robot": "so101"}).end({"dropped_messages": "3"})
+    RecordingSeries(tmp_path / "run.mcap", REGISTRY, {"robot": "so101"}).end({"dropped_messages": "3"})
     with (tmp_path / "run.mcap").open("rb") as stream:
         first, last = (each.metadata for each in make_reader(stream).iter_metadata() if each.name == METADATA_NAME)
     assert (first["robot"], last["dropped_messages"]) == ("so101", "3")

@@ -2,21 +2,21 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from harness.waiting import TIMEOUT_S, wait_until
 from protocol.codecs.cdr import deserialize
-from protocol.messages import Stamp, complete
-from protocol.publication import PublishedMessage
 from server.config import RecordingSettings
 from server.errors import StartError
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.recording import recorder as recorder_module
 from server.recording.files import RecordedMessage, RecordingSeries
-from server.recording.recorder import QueuedMessage, Recorder, WriterThread
+from server.recording.recorder import Recorder
 from tests.server.recordings import REGISTRY, recorded_messages
 
 TALKER = Node("talker")
@@ -55,18 +55,21 @@ async def test_all_of_every_topic_is_recorded_with_nobody_listening_and_unknown_
     assert told == ["recording: /own is left out, the type my_msgs/msg/Thing is unknown"]
 
 
-async def test_times_do_not_jump_with_the_wall_clock(graph: Graph, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("clock", [None, iter([1.5, 2.5]).__next__])
+async def test_times_are_those_of_a_steady_clock_or_of_the_simulation(
+    graph: Graph, run: Path, monkeypatch: pytest.MonkeyPatch, clock: Callable[[], float] | None
+) -> None:
+    steady = iter([500_000_000, 1_500_000_000, 2_500_000_000])
     monkeypatch.setattr(recorder_module, "POLL_PERIOD_S", 60.0)
-    clocks = {"clock_ns": iter([5, 7, 9]).__next__, "wall_clock_ns": lambda: 1_000_005}
-    recorder = Recorder(graph, run, RecordingSettings(), **clocks)
+    monkeypatch.setattr(recorder_module.time, "monotonic_ns", steady.__next__)
+    monkeypatch.setattr(recorder_module.time, "time_ns", iter([500_000_000]).__next__)
+    recorder = Recorder(graph, run, RecordingSettings(), clock=clock)
     recorder.start()
-    graph.advertise(TALKER, "/a", "std_msgs/Empty")
-    graph.publish(TALKER, "/a", {})
-    graph.publish(TALKER, "/a", {})
+    talk(graph, 2)
     assert (recorder.ended, recorder.queued) == (False, 2)
     await recorder.close()
     assert (recorder.ended, recorder.queued) == (True, 0)
-    assert [each.log_time_ns for each in recorded_messages(run)] == [1_000_007, 1_000_009]
+    assert [each.log_time_ns for each in recorded_messages(run)] == [1_500_000_000, 2_500_000_000]
 
 
 def test_a_file_that_cannot_be_written_is_refused_with_its_name(graph: Graph, tmp_path: Path) -> None:
@@ -80,9 +83,7 @@ def test_a_file_that_cannot_be_written_is_refused_with_its_name(graph: Graph, tm
 class BlockedFiles(RecordingSeries):
     """Files on a disk that stands still until it is let go."""
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, REGISTRY, {}, None, 0)
-        self.reached, self.go_on = threading.Event(), threading.Event()
+    reached, go_on = threading.Event(), threading.Event()
 
     def add(self, entry: RecordedMessage) -> None:
         self.reached.set()
@@ -98,61 +99,71 @@ class FullDisk(RecordingSeries):
             full.write(entry.octets)
 
 
-def writing(files: RecordingSeries, count: int) -> WriterThread:
-    """Start a thread that writes messages."""
-    writer = WriterThread(REGISTRY)
-    writer.start(files)
+def talk(graph: Graph, count: int) -> None:
+    """Publish messages."""
+    graph.advertise(TALKER, "/t", "std_msgs/String")
     for number in range(count):
-        writer.put(queued(number))
-    return writer
+        graph.publish(TALKER, "/t", {"data": str(number)})
 
 
-def queued(number: int) -> QueuedMessage:
-    stamp = Stamp(7, 5)
-    msg = complete(REGISTRY, "std_msgs/msg/String", {"data": str(number)}, stamp)
-    published = PublishedMessage("/t", "std_msgs/msg/String", msg, REGISTRY, stamp)
-    return QueuedMessage(published, False, 20, 1000 + number)
+Start = Callable[..., Recorder]
 
 
-def test_queued_messages_are_in_the_file_in_order_and_soon(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def recording(graph: Graph, run: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
+    """Starts a recorder that writes messages to files of a class."""
+    for event in (BlockedFiles.reached, BlockedFiles.go_on):
+        event.clear()
+
+    def start(count: int, files: type[RecordingSeries] = RecordingSeries) -> Recorder:
+        monkeypatch.setattr(recorder_module, "RecordingSeries", files)
+        recorder = Recorder(graph, run, RecordingSettings())
+        recorder.start()
+        talk(graph, count)
+        return recorder
+
+    return start
+
+
+async def test_queued_messages_are_in_the_file_in_order_and_soon(
+    recording: Start, run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(recorder_module, "FLUSH_PERIOD_S", 0.01)
-    writer = writing(RecordingSeries(run, REGISTRY, {}, None, 0), 100)
+    recorder = recording(100)
     wait_until(lambda: len(recorded_messages(run)) == 100)
-    assert writer.close()
-    entries = recorded_messages(run)
-    assert [each.log_time_ns for each in entries] == list(range(1000, 1100))
-    assert {each.publish_time_ns for each in entries} == {7_000_000_005}
+    await recorder.close()
+    read = [deserialize(REGISTRY, each.type_name, each.octets) for each in recorded_messages(run)]
+    assert read == [{"data": str(number)} for number in range(100)]
 
 
-@pytest.mark.parametrize(("limit", "value"), [("MAX_QUEUED_MESSAGES", 3), ("MAX_QUEUED_BYTES", 80)])
-def test_a_disk_that_stands_still_costs_messages_and_not_memory(
-    limit: str, value: int, run: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+# A message has 12 bytes as JSON.
+@pytest.mark.parametrize(("limit", "value"), [("MAX_QUEUED_MESSAGES", 3), ("MAX_QUEUED_BYTES", 48)])
+async def test_a_disk_that_stands_still_costs_messages_and_not_memory(
+    limit: str, value: int, graph: Graph, recording: Start, run: Path, monkeypatch: Any, caplog: Any
 ) -> None:
     monkeypatch.setattr(recorder_module, limit, value)
-    files = BlockedFiles(run)
-    writer = writing(files, 1)
-    assert files.reached.wait(TIMEOUT_S)
-    for number in range(1, 11):
-        writer.put(queued(number))
-    assert (writer.dropped, writer.queued) == (7, 3)
-    files.go_on.set()
-    assert writer.close()
+    recorder = recording(1, BlockedFiles)
+    assert BlockedFiles.reached.wait(TIMEOUT_S)
+    talk(graph, 10)
+    assert (recorder.dropped, recorder.queued) == (7, 3)
+    BlockedFiles.go_on.set()
+    await recorder.close()
     assert "7 messages were dropped" in caplog.text
     assert len(recorded_messages(run)) == 4
 
 
-def test_a_full_disk_ends_the_recording_with_one_line(run: Path, caplog: pytest.LogCaptureFixture) -> None:
-    writer = writing(FullDisk(run, REGISTRY, {}, None, 0), 10)
-    wait_until(lambda: writer.ended)
-    assert writer.close()
+async def test_a_full_disk_ends_the_recording_with_one_line(recording: Start, run: Path, caplog: Any) -> None:
+    recorder = recording(10, FullDisk)
+    wait_until(lambda: recorder.ended)
+    await recorder.close()
     errors = [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR]
     assert errors == [f"recording ended: {run} cannot be written any further: No space left on device"]
 
 
-def test_a_disk_that_never_answers_holds_nobody_up(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_disk_that_never_answers_holds_nobody_up(recording: Start, monkeypatch: Any, caplog: Any) -> None:
     monkeypatch.setattr(recorder_module, "CLOSE_TIMEOUT_S", 0.1)
-    files = BlockedFiles(run)
-    writer = writing(files, 1)
-    assert not writer.close()
-    files.go_on.set()
-    wait_until(lambda: writer.ended)
+    recorder = recording(1, BlockedFiles)
+    await recorder.close()
+    assert "run.mcap was not ended within 0.1 s; its content can be read" in caplog.text
+    BlockedFiles.go_on.set()
+    wait_until(lambda: recorder.ended)

@@ -23,7 +23,7 @@ from server.graph.topics import Graph, Subscriber
 from server.interfaces import load_registry
 from server.recording import replay as replay_module
 from server.recording.files import RecordedMessage
-from server.recording.replay import RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, ReplayServer
+from server.recording.replay import RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, serve
 from tests.conformance.cases import INTERFACES
 from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
@@ -187,7 +187,7 @@ def options(tmp_path: Path) -> ReplayOptions:
 async def test_a_loop_repeats_until_a_signal_ends_it(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     serving = re.compile(r"ws://127\.0\.0\.1:\d+")
-    playing = asyncio.create_task(ReplayServer(replace(options, loop=True)).run())
+    playing = asyncio.create_task(serve(replace(options, loop=True)))
     await until(lambda: serving.search(caplog.text))
     async with frame_client(serving.findall(caplog.text)[0]) as client:
         await client.subscribe("/t", "std_msgs/String")
@@ -200,11 +200,11 @@ async def test_a_loop_repeats_until_a_signal_ends_it(options: ReplayOptions, cap
 async def test_it_ends_with_the_recording(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     async with asyncio.timeout(TIMEOUT_S):
-        await ReplayServer(options).run()
+        await serve(options)
         assert "1 topics, 3 messages, 2.0 s" in caplog.text
         assert "replay ended: 3 messages published, 0 could not be read" in caplog.text
         record_killed(options.path, [[text(0)], [text(1)]])
-        await ReplayServer(options).run()
+        await serve(options)
     assert "not ended in good order" in caplog.text
     assert "2 messages published" in caplog.text
 
@@ -217,5 +217,5 @@ async def test_types_of_the_users_packages_are_replayed_where_the_settings_name_
     user = load_registry([INTERFACES])
     record(options.path, [entry("/sample", "lab_msgs/Sample", {}, registry=user)], user)
     async with asyncio.timeout(TIMEOUT_S):
-        await ReplayServer(replace(options, server=ServerSettings(port=0, interfaces=interfaces))).run()
+        await serve(replace(options, server=ServerSettings(port=0, interfaces=interfaces)))
     assert f"replay ended: {published} messages published" in caplog.text

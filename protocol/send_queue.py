@@ -266,7 +266,7 @@ class SendQueue:
         return min((max(now, subscription.due_s) for subscription in self._throttled()), default=None)
 
     def _throttled(self) -> list[Subscription]:
-        """Return the subscriptions of which messages wait for a throttle."""
+        """Return the subscriptions whose messages wait for a throttle."""
         paced = self._paced
         return [each for each, waiting in self._waiting.items() if waiting[-1].lane is paced] if paced else []
 

@@ -115,7 +115,7 @@ def list_converter(name: str, max_length: int | None = None) -> ConvertList:
     element = float if name == "float32" else strict_type(name, max_length)
     if element is None:
         return lambda _values: None
-    # In a struct, whose types msgspec keeps; those of a list alone it would read each time.
+    # A struct, since msgspec keeps its types; it would read the types of a list alone each time.
     struct = msgspec.defstruct("Elements", [("elements", list[element])], array_like=True)  # type: ignore[valid-type]
 
     def to_elements(values: list[Any]) -> list[Any] | None:

@@ -28,10 +28,10 @@ from server.execution.failures import FailedGoals, with_nearest_goal
 from server.execution.goal import Answer, Goal, GoalState, Progress, TimeLimits
 from server.execution.monitors import (
     ARM_START_TIMEOUT_S,
+    CurrentScene,
     CurrentState,
     Questions,
     SceneMonitor,
-    SceneSource,
     check_ready,
 )
 from server.execution.motions import (
@@ -132,7 +132,7 @@ class ExecutionContext:
 
     robot: RobotModel
     pool: Planners
-    scene: SceneSource
+    scene: CurrentScene
     current: CurrentState
     time_limits: TimeLimits = field(default_factory=TimeLimits)
     failed_goals: FailedGoals | None = None  # keeps goals that could not be planned; None to keep none
@@ -159,6 +159,9 @@ class GoalExecutor:
     async def run(self, goal: Goal) -> Answer:
         """Plan and play the motion of a goal; every wait is bounded, and every way out is an answer."""
         motion = goal.request.motion
+        if goal.replaced:
+            # The outgoing motion is left to the goal that comes next.
+            return Answer(MoveItErrorCode.PREEMPTED, f"{goal.reason} before the motion began")
         if isinstance(motion, PlannedMotion):
             answer = await self._replace_outgoing(goal, motion) or await _answered(self._attempt(goal, motion))
             for _ in range(motion.attempts - 1):

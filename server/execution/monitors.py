@@ -4,11 +4,11 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from planners.interface import Planners
 from planners.problem import ConcurrencyQuestion, MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
-from planners.scene import Scene
+from planners.scene import EMPTY_SCENE
 from protocol.messages import Stamp
 from robot.arm_group import AnyArm, ArmGroup, states_of
 from robot.description.model import RobotModel
@@ -109,15 +109,20 @@ def title_of(name: str) -> str:
 log = logging.getLogger("armbridge.execution")
 
 
-class SceneSource(Protocol):
-    """The planning scene, as `server.moveit.scene.scene_state.SceneState`."""
+class CurrentScene:
+    """Current planning scene as planners have it; another object, with another version, after every change."""
 
-    @property
-    def scene(self) -> Scene:
-        """The present scene."""
+    def __init__(self) -> None:
+        self.scene = EMPTY_SCENE
+        self._callbacks: list[Callable[[], None]] = []
 
-    def on_change(self, callback: Callable[[], None], /) -> None:
-        """Have this called after every change."""
+    def on_change(self, callback: Callable[[], None]) -> None:
+        """Have this called after every change, also after those that planners do not see."""
+        self._callbacks.append(callback)
+
+    def changed(self) -> None:
+        for callback in self._callbacks:
+            callback()
 
 
 # Asked together about one motion: it is free if all answers are.
@@ -132,22 +137,20 @@ class SceneMonitor:
     """
 
     def __init__(
-        self, pool: Planners, source: SceneSource, retry_for_s: float = 0.0, clock: Callable[[], float] = time.monotonic
+        self, pool: Planners, scene: CurrentScene, retry_for_s: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._pool = pool
-        self._source = source
-        self._retry_for_s = retry_for_s
-        self._clock = clock
+        self._pool, self._scene = pool, scene
+        self._retry_for_s, self._clock = retry_for_s, clock
         self._checked_version = 0
         self._questions: Callable[[], Questions] | None = None
         self._on_contact: Callable[[PlanningFailure], None] = lambda _contact: None
         self._task: asyncio.Task[None] | None = None
-        source.on_change(self._on_change)
+        scene.on_change(self._on_change)
 
     async def check(self, questions: Callable[[], Questions]) -> None:
         until_s = self._clock() + self._retry_for_s
         while True:
-            scene = self._source.scene
+            scene = self._scene.scene
             answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
             for question in questions():
                 answer = await self._pool.ask(question, scene)
@@ -183,7 +186,7 @@ class SceneMonitor:
     async def _check_changes(self) -> None:
         """Check until the scene no longer changes meanwhile."""
         try:
-            while self._questions is not None and self._source.scene.version != self._checked_version:
+            while self._questions is not None and self._scene.scene.version != self._checked_version:
                 await self.check(self._questions)
         except RefusedError as error:
             if self._questions is not None:

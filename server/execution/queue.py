@@ -60,7 +60,7 @@ class GoalQueue:
 
     def start(self) -> None:
         self._started = True
-        self._begin_soon()
+        self._begin()
 
     async def close(self, timeout_s: float) -> None:
         """Stop the active goals, answer every goal and end, at the latest after ``timeout_s``."""
@@ -155,7 +155,7 @@ class GoalQueue:
         for goal in [goal for goal in self._waiting if goal.goal_id == goal_id]:
             self._waiting.remove(goal)
             self._leave(goal, reason)
-        self._begin_soon()
+        self._begin()
 
     def cancel_all(self, reason: str, joints: Iterable[str] | None = None) -> None:
         """Cancel the active goals that move any of some joints, and those that wait; each is answered PREEMPTED."""
@@ -186,14 +186,10 @@ class GoalQueue:
         ahead = sum(1 for other in (*self._active, *self._waiting) if other.request.joints & goal.request.joints)
         self._waiting.append(goal)
         goal.report(Progress(GoalState.QUEUED, f"{ahead} goals ahead" if ahead else "next"))
-        self._begin_soon()
-
-    def _begin_soon(self) -> None:
-        """Begin the goals whose turn has come, once the callers of this have done their part."""
-        if self._started and self._waiting:
-            asyncio.get_running_loop().call_soon(self._begin)
+        self._begin()
 
     def _begin(self) -> None:
+        """Begin the goals whose turn has come."""
         if not self._started:
             return
         taken: Joints = frozenset().union(*(active.request.joints for active in self._active))
@@ -216,7 +212,7 @@ class GoalQueue:
         self._finish(goal, answer)
         if not self._active:
             self._idle.set()
-        self._begin_soon()
+        self._begin()
 
     def _finish(self, goal: Goal, answer: Answer) -> None:
         for listener in self.listeners:

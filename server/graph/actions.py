@@ -1,6 +1,9 @@
 """Actions of the graph: local parts and remote clients offer them and send goals alike.
 
-A sender gets exactly one result: the provider's, or the reason for which there is none.
+A sender gets exactly one result: the provider's, or the reason for which there is none. Each action has topics, as in
+ROS 2: ``<action>/_action/status`` and ``<action>/_action/feedback``, which the node that offers it publishes. The
+status topic is latched; it has the goals that are worked on, and of ended ones for a while (rcl_action,
+action_server.c). Feedback is published while somebody listens.
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ import enum
 import logging
 import uuid
 from base64 import b64encode
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,18 +24,28 @@ from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
 from server.graph.providers import PendingRequest, Provider, Providers
-from server.graph.services import Services
 from server.timers import CallLater
 
 if TYPE_CHECKING:
-    from server.graph.action_topics import ActionTopics
+    from server.graph.topics import Graph
+
+STATUS, FEEDBACK = "/_action/status", "/_action/feedback"
+STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
+
+# rcl_action's default result_timeout: time for which the status of an ended goal is still published [s].
+ENDED_KEPT_S = 10.0
+
+# Far more than anybody waits for; of more goals the newest are published, so that a flood of goals costs little each.
+MAX_PUBLISHED = 100
 
 
 class GoalStatus(enum.IntEnum):
-    """Final status of a goal: values of action_msgs/GoalStatus."""
+    """Status of a goal: values of action_msgs/GoalStatus."""
 
     # The goal was never taken on.
     UNKNOWN = 0
+    EXECUTING = 2
+    CANCELING = 3
     SUCCEEDED = 4
     CANCELED = 5
     ABORTED = 6
@@ -67,27 +80,25 @@ class ActionGoal(PendingRequest[Result]):
         self.action, self.type_name = names
         self.request = request
         self.goal_id = goal_id or uuid.uuid4().bytes
+        # The action_msgs/GoalInfo, and the latest action_msgs/GoalStatus.
+        uuid_of_goal = {"uuid": b64encode(self.goal_id).decode()}
+        self.info: dict[str, Any] = {"goal_id": uuid_of_goal, "stamp": message_types.now().as_message()}
+        self.status: int = GoalStatus.EXECUTING
         self.sender_id: Mark = None
-        self.cancel_requested = False
         self.sender_left = False
         self._message_types = message_types
         self._on_feedback = on_feedback
-        self._on_every_feedback: Callable[[dict[str, Any]], None] | None = None
         self._when_canceled: list[Callable[[], None]] = []
 
-    def on_every_feedback(self, callback: Callable[[dict[str, Any]], None]) -> None:
-        """Have this called with every complete feedback message, whether its sender wants it or not."""
-        self._on_every_feedback = callback
+    @property
+    def cancel_requested(self) -> bool:
+        return self.status == GoalStatus.CANCELING
 
     def feedback(self, values: object) -> None:
         """Tell how the goal goes; what the message leaves out gets its default."""
         completed = self._message_types.complete(f"{self.type_name}_Feedback", values)
-        if self.ended:
-            return
-        if self._on_feedback is not None:
+        if not self.ended and self._on_feedback is not None:
             self._on_feedback(completed)
-        if self._on_every_feedback is not None:
-            self._on_every_feedback(completed)
 
     def finish(self, status: GoalStatus, values: object) -> None:
         """End the goal with a result message; what it leaves out gets its default.
@@ -106,8 +117,10 @@ class ActionGoal(PendingRequest[Result]):
         self._end(Result(ok=False, status=status, values=values))
 
     def _end(self, end: Result) -> None:
+        if not self.ended:
+            self.status = end.status
         super()._end(end)
-        self._when_canceled, self._on_feedback, self._on_every_feedback = [], None, None
+        self._when_canceled, self._on_feedback = [], None
 
     def when_canceled(self, callback: Callable[[], None]) -> None:
         """Have this called when somebody asks for the end of the goal; at once when somebody has."""
@@ -119,14 +132,9 @@ class ActionGoal(PendingRequest[Result]):
         """Ask the provider to end the goal, which still ends as the provider says."""
         if self.cancel_requested or self.ended:
             return
-        self.cancel_requested = True
+        self.status = GoalStatus.CANCELING
         for callback in self._when_canceled:
             callback()
-
-    def forget_sender(self) -> None:
-        """Tell nobody of feedback and result any more, for the one who wanted them has left."""
-        self.sender_left = True
-        self._on_feedback = None
 
 
 log = logging.getLogger("armbridge.graph")
@@ -145,12 +153,13 @@ ALL_GOALS = b64encode(bytes(16)).decode()
 class Actions(Providers[ActionGoal]):
     """All actions, with their goals by id in base64; each has a service ``<action>/_action/cancel_goal``."""
 
-    def __init__(
-        self, message_types: MessageTypes, services: Services, topics: ActionTopics, call_later: CallLater
-    ) -> None:
-        super().__init__("action", MAX_ACTIONS, message_types, call_later)
-        self._services = services
+    def __init__(self, topics: Graph, clock: Callable[[], float], call_later: CallLater) -> None:
+        super().__init__("action", MAX_ACTIONS, topics.message_types, call_later)
+        self._services = topics.services
         self._topics = topics
+        self._clock = clock
+        # By action, the oldest goal first: goals with a status to publish, and the time of their end [s].
+        self._published: dict[str, dict[ActionGoal, float | None]] = {}
 
     def offer(
         self,
@@ -172,12 +181,21 @@ class Actions(Providers[ActionGoal]):
             node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
         self._add(offer, rule)
-        self._topics.open(node, name, offer.type_name)
+        self._published[name] = {}
+        feedback_type = f"{offer.type_name}_FeedbackMessage"
+        try:
+            self._topics.advertise(node, name + STATUS, STATUS_TYPE, latch=True)
+            # A type that is relayed without being known has none.
+            if self._message_types.registry.knows(feedback_type):
+                self._topics.advertise(node, name + FEEDBACK, feedback_type)
+        except GraphError as error:
+            # Somebody has made a topic of this name; the action works without.
+            log.warning("action %s: its topics are not published: %s", name, error)
 
     def remove(self, node: Node) -> None:
         """Forget a node that has left: its actions end; its goals go on, as in ROS, unless it takes them along."""
         for goal in self._made.of(node):
-            goal.forget_sender()
+            goal.sender_left = True
             if node.takes_goals_along:
                 goal.cancel()
         self._withdraw_all(node)
@@ -202,10 +220,18 @@ class Actions(Providers[ActionGoal]):
         except (GraphError, InterfaceError, MessageError) as error:
             on_result(Result(ok=False, status=GoalStatus.UNKNOWN, values=str(error)))
             return None
-        goal = ActionGoal((name, offer.type_name), request, self._message_types, sender, on_feedback, goal_id)
-        limit_s, key = offer.limit_s, b64encode(goal.goal_id).decode()
+
+        def hear(feedback: dict[str, Any]) -> None:
+            if on_feedback is not None and not goal.sender_left:
+                on_feedback(feedback)
+            self._publish_feedback(offer.node, goal, feedback)
+
+        goal = ActionGoal((name, offer.type_name), request, self._message_types, sender, hear, goal_id)
+        limit_s, key = offer.limit_s, goal.info["goal_id"]["uuid"]
         self._keep(goal, offer, key, goal.sender, limit_s, f"Action {goal.action} took more than {limit_s:g} s")
-        self._topics.follow(offer.node, goal)
+        self._publish_status(offer.node, goal)
+        goal.when_canceled(lambda: self._publish_status(offer.node, goal))
+        goal.when_ended(lambda _result: self._publish_status(offer.node, goal))
         goal.when_ended(lambda result: None if goal.sender_left else on_result(result))
         try:
             offer.start(goal)
@@ -234,7 +260,37 @@ class Actions(Providers[ActionGoal]):
     def _end_requests(self, offer: Provider[ActionGoal]) -> None:
         self._services.withdraw(offer.node, _cancel_service(offer.name))
         super()._end_requests(offer)
-        self._topics.close(offer.node, offer.name)
+        del self._published[offer.name]
+        for topic in (STATUS, FEEDBACK):
+            self._topics.unadvertise(offer.node, offer.name + topic)
+
+    def _publish_feedback(self, node: Node, goal: ActionGoal, feedback: Mapping[str, Any]) -> None:
+        topic = goal.action + FEEDBACK
+        if self._is_open(node, topic, f"{goal.type_name}_FeedbackMessage") and self._topics.subscribers(topic):
+            message = {"goal_id": goal.info["goal_id"], "feedback": feedback}
+            self._topics.publish(node, topic, message, prevalidated=True)
+
+    def _publish_status(self, node: Node, goal: ActionGoal) -> None:
+        """Publish the goals of an action as one begins, is asked to end, or has ended."""
+        published, now_s = self._published.get(goal.action), self._clock()
+        if published is None or not self._is_open(node, goal.action + STATUS, STATUS_TYPE):
+            return
+        published[goal] = now_s if goal.ended else None
+        ended = [(each, ended_s) for each, ended_s in published.items() if ended_s is not None]
+        for place, (each, ended_s) in enumerate(ended):
+            # A goal that was never taken on has no status in ROS.
+            if (
+                each.status == GoalStatus.UNKNOWN
+                or ended_s <= now_s - ENDED_KEPT_S
+                or place < len(ended) - MAX_PUBLISHED
+            ):
+                del published[each]
+        statuses = [{"goal_info": each.info, "status": int(each.status)} for each in list(published)[-MAX_PUBLISHED:]]
+        self._topics.publish(node, goal.action + STATUS, {"status_list": statuses}, prevalidated=True)
+
+    def _is_open(self, node: Node, topic: str, type_name: str) -> bool:
+        """Return True for a topic of the node's action; a client that offers one may have made its own of this name."""
+        return self._topics.topic_type(topic) == type_name and node in self._topics.publishers(topic)
 
 
 def _cancel_service(action: str) -> str:

@@ -22,14 +22,13 @@ from protocol.registry import Registry
 from protocol.strict_messages import PublicationReader
 from robot.logs import LogLimiter
 from server.errors import GraphError
-from server.graph.action_topics import ActionTopics
 from server.graph.actions import Actions
-from server.graph.index import Index, TypedNames
 from server.graph.latching import LatchedMessages
 from server.graph.list_limits import CheckLists
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
 from server.graph.permissions import Rule
+from server.graph.providers import Index, TypedNames
 from server.graph.services import Services
 from server.timers import CallLater, call_later
 
@@ -120,7 +119,7 @@ class Graph:
     ) -> None:
         self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
         self.services = Services(self.message_types, call_later)
-        self.actions = Actions(self.message_types, self.services, ActionTopics(self, clock), call_later)
+        self.actions = Actions(self, clock, call_later)
         self._clock = clock
         self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
         self._unregister_timeout_s = unregister_timeout_s

@@ -12,7 +12,7 @@ from robot.description.model import RobotModel
 from robot.messages import ArmState, Mode
 from robot.trajectory import Vector
 from server.errors import ServiceError
-from server.execution.monitors import CurrentState, SceneSource
+from server.execution.monitors import CurrentScene, CurrentState
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
 from server.graph.services import Work, telling
@@ -120,7 +120,7 @@ class Teaching(Feature):
         robot: RobotModel,
         motions: MotionFiles,
         pool: Planners,
-        scene: SceneSource,
+        scene: CurrentScene,
         current: CurrentState,
     ) -> None:
         self._graph = graph

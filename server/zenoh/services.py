@@ -17,8 +17,7 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer, rule_of_service
 from server.arrival import arrived_in
 from server.errors import GraphError
-from server.graph.action_topics import ENDED_KEPT_S
-from server.graph.actions import MAX_GOAL_S, ActionGoal, GoalStatus, Result
+from server.graph.actions import ENDED_KEPT_S, MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
 from server.graph.services import LOCAL_TIMEOUT_S, Call, Response
 from server.timers import call_in_loop

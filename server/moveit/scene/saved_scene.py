@@ -30,7 +30,6 @@ from server.moveit.scene.interface import EVERYTHING, NO_MATRIX, NO_STATE, scene
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
 from server.named_files import NamedFiles, read_json, set_aside
-from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.scene")
 
@@ -52,26 +51,16 @@ WRITING_SHARE = 0.1
 class SavedScene:
     """Keeper of the scene: restores it at the start, and writes it after changes, off the event loop."""
 
-    def __init__(
-        self,
-        path: Path,
-        state: SceneState,
-        message_types: MessageTypes,
-        clock: Callable[[], float] = time.monotonic,
-        call_later: CallLater = call_later,
-    ) -> None:
+    def __init__(self, path: Path, state: SceneState, message_types: MessageTypes) -> None:
         self._path = path
         self._lock = files.FileLock(path)
         self._state = state
         self._message_types = message_types
-        self._clock = clock
-        self._call_later = call_later
         self._kept = state.contents
-        self._delay_s = DELAY_S
-        self._timer: asyncio.TimerHandle | None = None
-        self._writing: asyncio.Task[None] | None = None
+        self._changed = asyncio.Event()
+        self._writing = asyncio.Lock()
+        self._keeping: asyncio.Task[None] | None = None
         self._failing = False
-        self._open = False
 
     async def start(self) -> None:
         """Restore the scene, and keep its changes from now on; nothing that is wrong with the file prevents a start."""
@@ -92,23 +81,18 @@ class SavedScene:
             self._lock.release()
             log.warning("the planning scene is not kept: %s cannot be read: %s", path, error.strerror)
             return
-        self._open = True
         self._kept = self._state.contents
-        self._state.on_change(self._schedule)
+        self._state.on_change(self._changed.set)
+        self._keeping = asyncio.create_task(self._keep(), name="keep the planning scene")
 
     async def close(self) -> None:
         """Write the last changes, and give the file back."""
-        if not self._open:
+        if self._keeping is None:
             return
-        self._open = False
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
         try:
-            if self._writing is not None:
-                await asyncio.shield(self._writing)
-            if self._state.contents is not self._kept:
-                await self._write()
+            async with self._writing:
+                self._keeping.cancel()
+            await self._write()
         finally:
             self._lock.release()
 
@@ -125,36 +109,33 @@ class SavedScene:
         world, held = len(self._state.contents.objects), len(self._state.contents.attached)
         log.info("the planning scene is restored from %s: %d objects, %d of them held", self._path, world + held, held)
 
-    def _schedule(self) -> None:
-        if self._open and self._timer is None and self._writing is None:
-            self._timer = self._call_later(self._delay_s, self._begin)
-
-    def _begin(self) -> None:
-        self._timer = None
-        self._writing = asyncio.create_task(self._write(), name="keep the planning scene")
-        self._writing.add_done_callback(self._on_written)
-
-    def _on_written(self, task: asyncio.Task[None]) -> None:
-        self._writing = None
-        if not task.cancelled() and task.exception() is not None:
-            log.error("the planning scene is not kept", exc_info=task.exception())
-        if self._state.contents is not self._kept:
-            self._schedule()
+    async def _keep(self) -> None:
+        clock, delay_s = asyncio.get_running_loop().time, DELAY_S
+        while True:
+            await self._changed.wait()
+            await asyncio.sleep(delay_s)
+            self._changed.clear()
+            began_s = clock()
+            async with self._writing:
+                await self._write()
+            delay_s = max(DELAY_S, (clock() - began_s) / WRITING_SHARE)
 
     async def _write(self) -> None:
-        """Write the present scene; errors are logged once, until it can be written again."""
-        began_s, contents = self._clock(), self._state.contents
+        """Write the present scene, if it has changed; errors are logged once, until it can be written again."""
+        contents = self._state.contents
+        if contents is self._kept:
+            return
         # What cannot be written is not tried again before the next change.
         self._kept = contents
         try:
             await asyncio.to_thread(self._replace, kept_message(contents, self._state.robot))
-        except (OSError, ValueError) as error:
+        except Exception as error:  # a bug in writing one scene does not keep the next ones from it
             if not self._failing:
-                log.warning("the planning scene is not kept in %s: %s", self._path, error)
+                bug = not isinstance(error, OSError | ValueError)
+                log.warning("the planning scene is not kept in %s: %s", self._path, error, exc_info=bug)
             self._failing = True
         else:
             self._failing = False
-        self._delay_s = max(DELAY_S, (self._clock() - began_s) / WRITING_SHARE)
 
     def _replace(self, message: Message) -> None:
         """Replace the file; a file of a scene that is too large is removed: an older scene would be a wrong one."""

@@ -14,6 +14,7 @@ from planners.scene_checks import check_whole
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import RefusedError, refused
+from server.execution.monitors import CurrentScene
 from server.graph.node import Node
 from server.moveit.messages import Message, read_joint_positions
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
@@ -57,7 +58,7 @@ Done = Callable[[RefusedError | None], None]
 Ended = Callable[[], bool]
 
 
-class SceneState:
+class SceneState(CurrentScene):
     """The planning scene. A message changes it as a whole, or not when it is rejected.
 
     Changes that take long are read by a thread, one after the other; changes that come meanwhile wait for their turn.
@@ -67,20 +68,15 @@ class SceneState:
     """
 
     def __init__(self, robot: RobotModel) -> None:
+        super().__init__()
         self.robot = robot
         self._forward = ForwardPlacements(robot)
         self._srdf_matrix = AllowedCollisionMatrix.of_robot(robot)
         self._versions = itertools.count(EMPTY_SCENE.version + 1)
-        self._callbacks: list[Callable[[], None]] = []
         self._waiting: deque[tuple[SceneChange, OptionalPositions, Done, Ended]] = deque()
         self._applying: asyncio.Task[None] | None = None
         self.frame = robot.root_link
         self.contents = SceneContents(self._srdf_matrix)  # contents of the scene; another object after every change
-        # The same as planners have it; another object, with another version, after every change they can see.
-        self.scene = EMPTY_SCENE
-
-    def on_change(self, callback: Callable[[], None]) -> None:
-        self._callbacks.append(callback)
 
     def diff(self, message: Message) -> SceneChange:
         """Return the change by a moveit_msgs/PlanningScene: a diff, or a whole scene if its ``is_diff`` is false."""
@@ -226,8 +222,7 @@ class SceneState:
     def _commit(self, contents: SceneContents, scene: Scene | None) -> None:
         if contents != self.contents:
             self.contents, self.scene = contents, scene or self.scene
-            for callback in self._callbacks:
-                callback()
+            self.changed()
 
     def _changed(
         self, before: SceneContents, change: SceneChange, positions_rad: OptionalPositions

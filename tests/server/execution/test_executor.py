@@ -36,7 +36,7 @@ from robot.trajectory import Trajectory
 from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
 from server.execution.failures import FailedGoals
 from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
-from server.execution.monitors import CurrentState
+from server.execution.monitors import CurrentScene, CurrentState
 from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PathTime, PlannedMotion, Positions, SplicePoint
 from server.execution.player import MotionsInProgress
 from server.moveit.scene.scene_state import SceneState
@@ -161,10 +161,11 @@ NO_WAY = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is no way")
 OUT_OF_REACH = PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "too far", {"distance_m": 0.2})
 
 
-class Stage:
+class Stage(CurrentScene):
     """An arm without a process, a scene, and planners that answer what they are told to."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.arm, self.clock = FakeArm(), FakeClock()
         self.scene = Scene(1)
         self.meanwhile: Callable[[], object] = lambda: None
@@ -189,9 +190,6 @@ class Stage:
         current = CurrentState(self.arm, so101())
         context = ExecutionContext(so101(), cast("Planners", self), self, current, clock=self.clock, **parts)
         return GoalExecutor(self.arm.as_arm, context, self.in_progress)
-
-    def on_change(self, callback: Callable[[], None]) -> None:
-        self.changed = callback
 
     async def ask(self, request: Any, scene: Scene) -> Any:
         if isinstance(request, RecheckQuestion):
@@ -387,6 +385,15 @@ async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop(s
     np.testing.assert_allclose(whole.sample(0.1)[0], former.sample(from_s + 0.1)[0], atol=1e-9)
     assert stage.problems[-1].start_velocity_rad_s["shoulder_pan"] > 0.0
     assert answer.performed.planned == (whole,)
+
+
+async def test_a_goal_that_is_replaced_before_it_begins_leaves_the_motion_on_its_way_to_the_next(stage: Stage) -> None:
+    await under_way(stage)
+    goal = Goal("2", GoalRequest("/goal", ExternalTrajectory(Given(), frozenset(ARM))))
+    goal.cancel("preempted by goal 3", replaced=True)
+    answer = await stage.executor.run(goal)
+    assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "preempted by goal 3 before the motion began")
+    assert stage.arm.stops == []
 
 
 async def test_states_are_no_more_recorded_once_a_motion_of_a_stream_has_ended(stage: Stage) -> None:

@@ -1,5 +1,4 @@
 import asyncio
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -12,7 +11,7 @@ from robot.arm import Arm
 from robot.arm_group import ArmGroup
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
-from server.execution.monitors import CurrentState, SceneMonitor, check_ready
+from server.execution.monitors import CurrentScene, CurrentState, SceneMonitor, check_ready
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import settle
 from tests.helpers.motions import smooth_move
@@ -81,24 +80,21 @@ WALL = PlanningFailure(MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CH
 TOO_LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "the planner did not answer within 1 s and was given up")
 
 
-class Place:
+class Place(CurrentScene):
     """A scene that a test changes, and planners that look at it in 2 s, when the test lets them."""
 
     def __init__(self) -> None:
+        super().__init__()
         self.scene, self.clock = Scene(1), FakeClock()
         self.answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
         self.looked: list[int] = []
         self.contacts: list[PlanningFailure] = []
         self.go_on = asyncio.Event()
         self.go_on.set()
-        self._callback: Callable[[], None] = lambda: None
-
-    def on_change(self, callback: Callable[[], None]) -> None:
-        self._callback = callback
 
     def change(self) -> None:
         self.scene = Scene(self.scene.version + 1)
-        self._callback()
+        self.changed()
 
     async def ask(self, _question: RecheckQuestion, scene: Scene) -> RecheckAnswer | PlanningFailure:
         self.looked.append(scene.version)

@@ -138,6 +138,8 @@ async def test_a_goal_is_told_how_many_are_ahead_of_it(desk: Desk) -> None:
     assert desk.queue.busy() == ""
     goals = [desk.queue.submit(GoalRequest("/goal", Move(LEFT))) for _ in range(3)]
     waiting = [goal.progress.message for goal in goals if goal.progress is not None]
+    # Also in the same turn of the event loop.
+    assert desk.queue.submit(GoalRequest("/goal", Move(LEFT), policy=REJECT)).answered.done()
     assert waiting == ["next", "1 goals ahead", "2 goals ahead"]
     await settle()
     assert desk.queue.busy() == "goal 1 from /goal is worked on"

@@ -4,7 +4,7 @@ import asyncio
 import json
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -17,15 +17,21 @@ from server.moveit.scene.interface import EVERYTHING, NO_STATE, scene_message
 from server.moveit.scene.saved_scene import DELAY_S, WRITING_SHARE, NamedScenes, SavedScene, offer_named_scenes
 from server.moveit.scene.scene_state import SceneState
 from server.named_files import read_json
-from tests.helpers.clock import FakeClock
+from tests.helpers.clock import SteppedLoop
 from tests.helpers.graph import called
 from tests.helpers.moveit import BENT, REGISTRY, ROBOT, box, current_state, diff, held, pose, scene_state
 from tests.helpers.rules import server_rules
+from tests.helpers.stage import inline_threads
+
+pytestmark = pytest.mark.stepped_time
 
 CORNERS = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.1, "z": 0.0}]
 MESH = {"triangles": [{"vertex_indices": [0, 1, 2]}], "vertices": CORNERS}
 CUBE = {"type": 1, "dimensions": [0.05, 0.05, 0.05]}
 COLOR = {"r": 1.0, "g": 0.5, "b": 0.0, "a": 1.0}
+
+# After so long, a change is written.
+WRITTEN_S = 1.1 * DELAY_S
 
 
 @pytest.fixture
@@ -33,14 +39,17 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "armbridge" / "scene.json"
 
 
+@pytest.fixture(autouse=True)
+def _threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    inline_threads(monkeypatch)
+
+
 class Run:
-    """One run of a server, as far as its scene goes; time passes when a test says so."""
+    """One run of a server, as far as its scene goes."""
 
     def __init__(self, path: Path) -> None:
-        self.clock, self.state = FakeClock(), SceneState(ROBOT)
-        types = MessageTypes(REGISTRY, self.clock)
-        self.path = path
-        self.saved = SavedScene(path, self.state, types, self.clock, self.clock.call_later)
+        self.state, self.path = SceneState(ROBOT), path
+        self.saved = SavedScene(path, self.state, MessageTypes(REGISTRY))
 
     async def __aenter__(self) -> Run:
         await self.saved.start()
@@ -57,12 +66,6 @@ class Run:
 
     def message(self) -> dict[str, Any]:
         return scene_message(self.state.contents, ROBOT, NO_STATE, EVERYTHING)
-
-    async def pass_time(self, seconds: float) -> None:
-        """Let time pass, and what is then written be written."""
-        self.clock.advance(seconds)
-        while self.saved._writing is not None:
-            await asyncio.sleep(0.001)
 
     def written(self) -> list[str] | None:
         """Names of the objects in the file; None without a file."""
@@ -107,10 +110,10 @@ async def test_all_that_clients_added_is_there_at_the_next_start(path: Path, cap
 async def test_changes_are_written_together_after_a_while_and_the_last_ones_at_the_end(path: Path) -> None:
     async with Run(path) as run:
         run.add("a")
-        await run.pass_time(0.9 * DELAY_S)
+        await asyncio.sleep(0.9 * DELAY_S)
         run.add("b")
         assert run.written() is None
-        await run.pass_time(0.1 * DELAY_S)
+        await asyncio.sleep(0.2 * DELAY_S)
         assert run.written() == ["a", "b"]
         run.add("c")
         assert run.written() == ["a", "b"]
@@ -122,31 +125,31 @@ async def test_changes_are_written_together_after_a_while_and_the_last_ones_at_t
 async def test_what_changes_while_it_is_written_is_written_next(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async with Run(path) as run:
         write = run.saved._replace
-        loop = asyncio.get_running_loop()
 
         def slow(content: Any) -> None:
-            loop.call_soon_threadsafe(run.add, "b")
+            run.add("b")
             write(content)
 
         with monkeypatch.context() as patched:
             patched.setattr(run.saved, "_replace", slow)
             run.add("a")
-            await run.pass_time(DELAY_S)
+            await asyncio.sleep(WRITTEN_S)
         assert run.written() == ["a"]
-        await run.pass_time(DELAY_S)
+        await asyncio.sleep(WRITTEN_S)
         assert run.written() == ["a", "b"]
 
 
 async def test_a_slow_disk_is_written_to_less_often(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async with Run(path) as run:
-        monkeypatch.setattr(run.saved, "_replace", lambda _content: run.clock.advance(2.0))
-        run.add("a")
-        await run.pass_time(DELAY_S)
-        monkeypatch.undo()
+        loop = cast("SteppedLoop", asyncio.get_running_loop())
+        with monkeypatch.context() as patched:
+            patched.setattr(run.saved, "_replace", lambda _content: loop.advance(2.0))
+            run.add("a")
+            await asyncio.sleep(WRITTEN_S)
         run.add("b")
-        await run.pass_time(0.9 * 2.0 / WRITING_SHARE)
+        await asyncio.sleep(0.9 * 2.0 / WRITING_SHARE)
         assert run.written() is None
-        await run.pass_time(0.1 * 2.0 / WRITING_SHARE)
+        await asyncio.sleep(0.2 * 2.0 / WRITING_SHARE)
         assert run.written() == ["a", "b"]
 
 
@@ -192,11 +195,11 @@ async def test_a_scene_that_is_too_large_is_told_once_and_leaves_no_older_one(
 ) -> None:
     async with Run(path) as run:
         run.add("a")
-        await run.pass_time(DELAY_S)
+        await asyncio.sleep(WRITTEN_S)
         monkeypatch.setattr(saved_scene, "MAX_FILE_BYTES", 100)
         for name in "bc":
             run.add(name)
-            await run.pass_time(DELAY_S)
+            await asyncio.sleep(WRITTEN_S)
         assert caplog.text.count("more than 100 bytes") == 1
         assert run.written() is None
 
@@ -207,7 +210,7 @@ async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(
     monkeypatch.setattr(files, "LOCK_TIMEOUT_S", 0.0)
     async with Run(path) as first:
         first.add("wall")
-        await first.pass_time(DELAY_S)
+        await asyncio.sleep(WRITTEN_S)
         async with Run(path) as second:
             assert second.state.contents.objects == {}
             second.add("mine")

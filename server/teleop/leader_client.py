@@ -37,7 +37,7 @@ class LeaderClient(PublishingClient):
         self._reason = ""
 
     def take_state(self, state: ArmState) -> None:
-        """Take a state, the next sample if a hand can move the arm; tell what is wrong with an arm."""
+        """Take a state as the next sample if a hand can move the arm; report the fault of an arm."""
         before, self._reason = self._reason, str(state.fault or state.reason)
         if self._reason not in ("", before):
             self._tell(f"the arm: {self._reason}")

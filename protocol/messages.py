@@ -3,10 +3,8 @@
 Out of `complete` comes a dict with every field of the type in order of declaration. Arrays of uint8 and char
 are base64 text, as they go over the wire; a float that was null is NaN. The input is left as it was.
 
-A type is compiled once, in two forms. The general form is a tree of shapes that knows everything that is forgiven and
-every error's text; completing a message walks that tree. The strict form (:mod:`protocol.strict_messages`) takes the
-messages that have all their fields, each of its type, as most have. What it does not take is completed by the general
-form, so each rule and each error's text exists once.
+A type is compiled once into a tree of shapes that knows everything that is forgiven and every error's text; completing
+a message walks that tree.
 
 An element of a list may leave all its fields out: ``{}`` stands for a whole planning request. A message of a few
 megabytes could thus grow until it holds the server up for minutes, so every completion has a budget of values.
@@ -16,7 +14,7 @@ from __future__ import annotations
 
 import functools
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
 import pybase64
@@ -24,7 +22,6 @@ import pybase64
 from protocol import values
 from protocol.errors import LargeMessageError, MessageError, describe, shorten
 from protocol.registry import MAX_COMPILED_TYPES, ArrayBounds, Field, Registry
-from protocol.strict_messages import strict_type
 
 # Values of the elements of all lists of messages in one message. The largest mesh that is taken into a scene has half
 # as many; completing them takes two seconds at worst, and 150 MB.
@@ -129,7 +126,7 @@ def complete(
     registry: Registry,
     type_name: str,
     value: object,
-    received: Stamp | Callable[[], Stamp],
+    received: Stamp,
     max_values: int = MAX_VALUES,
     max_values_at_once: int = MAX_VALUES,
 ) -> dict[str, Any]:
@@ -142,21 +139,7 @@ def complete(
     lists of messages, and LargeMessageError for more than ``max_values_at_once``.
     """
     BUDGET.renew(type_name, max_values, max_values_at_once)
-    strict = _strict_way(registry, type_name)(value)
-    if strict is not None:
-        return strict
-    return _message_shape(registry, type_name).complete(value, received() if callable(received) else received)
-
-
-@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
-def _strict_way(registry: Registry, type_name: str) -> Callable[[object], dict[str, Any] | None]:
-    """Return the function that completes a message of the strict form; of any other it returns None."""
-    strict = strict_type(registry, type_name)
-    return _nothing if strict is None or strict.has_lists_of_messages else strict.complete
-
-
-def _nothing(_value: object) -> None:
-    """Take no message."""
+    return _message_shape(registry, type_name).complete(value, received)
 
 
 class _PrimitiveShape:
@@ -214,26 +197,15 @@ class _OctetArrayShape:
 
 
 class _MessageArrayShape:
-    def __init__(
-        self,
-        element: _Shape,
-        values_of_element: int,
-        strict_way: Callable[[object], dict[str, Any] | None],
-        bounds: ArrayBounds,
-    ) -> None:
+    def __init__(self, element: _Shape, values_of_element: int, bounds: ArrayBounds) -> None:
         self._element = element
         self._values_of_element = values_of_element
-        self._strict_way = strict_way
         self._bounds = bounds
 
     def complete(self, value: object, received: Stamp) -> list[Any]:
-        def complete_element(element: object) -> Any:
-            strict = self._strict_way(element)
-            return self._element.complete(element, received) if strict is None else strict
-
         elements = _elements(value, self._bounds)
         BUDGET.take(len(elements) * self._values_of_element)
-        return values.to_list(elements, complete_element)
+        return values.to_list(elements, lambda element: self._element.complete(element, received))
 
     def default(self, received: Stamp) -> list[Any]:
         return [self._element.default(received) for _ in range(self._bounds.min_length)]
@@ -324,8 +296,7 @@ def _field_shape(registry: Registry, field: Field) -> _Shape:
         element = _message_shape(registry, field.base)
         if field.array is None:
             return element
-        size = values_in(registry, field.base)
-        return _MessageArrayShape(element, size, _strict_way(registry, field.base), field.array)
+        return _MessageArrayShape(element, values_in(registry, field.base), field.array)
     if field.array is None:
         return _PrimitiveShape(field)
     return (_OctetArrayShape if field.base in _OCTETS else _PrimitiveArrayShape)(field, field.array)

@@ -29,6 +29,7 @@ _TEXT, _BINARY = 0x81, 0x82
 
 # In place of a length from 0 to 125: the length follows in two bytes, or in eight (RFC 6455, 5.2).
 _TWO_BYTE_LENGTH, _EIGHT_BYTE_LENGTH = 126, 127
+_HEADER_BYTES = {_TWO_BYTE_LENGTH: 4, _EIGHT_BYTE_LENGTH: 10}
 
 
 # Messages of this size on are encoded by a thread. The slowest encodings, those in Python, take 1 ms for 10 kB.
@@ -58,30 +59,32 @@ def _header(opening: int, length: int) -> bytes:
 class EncodedMessage:
     """Frames that are sent or dropped as a whole: one, or the fragments of one.
 
-    ``size_bytes`` is an estimate until the message is ``ready``; a message that cannot be encoded has no frames.
+    Attributes:
+        wire: the WebSocket frames for all clients that they are sent to, in pieces that leave together: one piece for
+            each of several frames, one or several for a single frame.
+        frame_count: number of frames; 0 for a message that is still to be encoded, or cannot be.
+        ready: False while the message is still to be encoded.
+        size_bytes: size with what the interpreter spends on it, an estimate until the message is ready.
     """
 
-    __slots__ = ("_encode", "_frames", "_on_wire", "_parts", "frame_count", "ready", "size_bytes")
+    __slots__ = ("_encode", "frame_count", "ready", "size_bytes", "wire")
 
     def __init__(self, *frames: Frame) -> None:
-        self._frames = frames
+        self.wire = tuple([frame.on_wire() for frame in frames])
         self.frame_count = len(frames)
         self.ready = True
-        self.size_bytes = 0
-        # One frame, as a message mostly has, is not worth the set-up of a sum.
-        for frame in frames:
-            self.size_bytes += len(frame.data) + FRAME_OVERHEAD_BYTES
-        self._parts: tuple[bytes, ...] = ()
-        self._on_wire: bytes | None = None
+        self.size_bytes = sum([len(frame.data) + FRAME_OVERHEAD_BYTES for frame in frames])
         self._encode: Callable[[], EncodedMessage] | None = None
 
     @classmethod
     def text(cls, *parts: bytes) -> EncodedMessage:
-        """Return a message of one text frame; its parts are joined once, on their way out."""
+        """Return a message of one text frame; the parts of a large one are not copied."""
+        length = sum(map(len, parts))
+        pieces = (_header(_TEXT, length), *parts)
         encoded = cls()
-        encoded._parts = parts
+        encoded.wire = pieces if length >= LARGE_BYTES else (b"".join(pieces),)
         encoded.frame_count = 1
-        encoded.size_bytes = sum(map(len, parts)) + FRAME_OVERHEAD_BYTES
+        encoded.size_bytes = length + FRAME_OVERHEAD_BYTES
         return encoded
 
     @classmethod
@@ -99,44 +102,16 @@ class EncodedMessage:
             return
         try:
             encoded = self._encode()
-            self._on_wire, self.size_bytes, self.frame_count = encoded.on_wire, encoded.size_bytes, encoded.frame_count
-            if self.frame_count > 1:
-                self._frames = encoded.frames
+            self.wire, self.size_bytes, self.frame_count = encoded.wire, encoded.size_bytes, encoded.frame_count
         finally:
             self._encode = None
             self.ready = True
 
     @property
     def frames(self) -> tuple[Frame, ...]:
-        """The frames; none while the message is still to be encoded, or when it cannot be."""
-        if self._parts:
-            return (Frame(b"".join(self._parts), text=True),)
-        if self.frame_count == 1 and self._on_wire is not None:
-            opening = self._on_wire[0]
-            header_bytes = len(_header(opening, self.size_bytes - FRAME_OVERHEAD_BYTES))
-            return (Frame(self._on_wire[header_bytes:], text=opening == _TEXT),)
-        return self._frames
-
-    def wire_pieces(self) -> tuple[bytes, ...]:
-        """Return `on_wire` in pieces that leave together: a large message is not copied into one."""
-        if self._on_wire is None and self._parts and self.size_bytes >= LARGE_BYTES:
-            opening, *others = self._parts
-            return (_header(_TEXT, self.size_bytes - FRAME_OVERHEAD_BYTES) + opening, *others)
-        return (self.on_wire,)
-
-    @property
-    def on_wire(self) -> bytes:
-        """The WebSocket frames, one behind the other; made once for all clients that they are sent to."""
-        if self._on_wire is None:
-            if self._parts:
-                self._on_wire = b"".join((_header(_TEXT, self.size_bytes - FRAME_OVERHEAD_BYTES), *self._parts))
-            else:
-                self._on_wire = b"".join([frame.on_wire() for frame in self._frames])
-            # The bytes of one frame are kept once: a picture has megabytes, and may wait.
-            self._parts = ()
-            if self.frame_count == 1:
-                self._frames = ()
-        return self._on_wire
+        """The frames."""
+        wire = (b"".join(self.wire),) if self.frame_count == 1 else self.wire
+        return tuple(Frame(each[_HEADER_BYTES.get(each[1], 2) :], text=each[0] == _TEXT) for each in wire)
 
 
 def pack(frame: Frame, fragment_size: int | None, fragment_id: str) -> EncodedMessage:

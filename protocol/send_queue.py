@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import operator
 from collections import OrderedDict, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any, Literal
 
 from protocol.limits import MAX_SERVER_QUEUED_BYTES, Limits
 from protocol.publication import EncodedMessage
@@ -70,16 +72,24 @@ class SendBudget:
             next(iter(self._holders)).give_up()
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True)
 class _Waiting:
+    sequence: int
     encoded: EncodedMessage
+    # What it counts as, until it has been encoded an estimate.
     size_bytes: int
+    account: Literal["replies", "requests", "topic data"]
+    # Those that it waits among, by sequence number, oldest first.
+    lane: OrderedDict[int, Any]
 
 
-@dataclass(slots=True)
+@dataclass(eq=False, slots=True)
 class _TopicData(_Waiting):
     subscription: Subscription
     queued_s: float
+
+
+_SEQUENCE = operator.attrgetter("sequence")
 
 
 class SendQueue:
@@ -99,28 +109,20 @@ class SendQueue:
         self._budget = budget or SendBudget()
         self._closed = False
         self._sequence = itertools.count()
-        # By sequence number, oldest first.
+        # Requests of others wait among the replies; they have a bound of their own.
         self._replies: OrderedDict[int, _Waiting] = OrderedDict()
-        # Of the replies that wait.
-        self.reply_bytes = 0
-        # Which of them are requests of others; these have a bound of their own.
-        self._requests: set[int] = set()
-        self._request_bytes = 0
-        # Topic data by sequence number, oldest first: free to leave at any time, bulky, and waiting for a throttle,
-        # which must not be gone through each time that the rest is sent.
+        # Topic data: free to leave at any time, bulky, and waiting for a throttle, which must not be gone through each
+        # time that the rest is sent. A subscription's messages may wait in several lanes, its older ones in the first.
         self._free: OrderedDict[int, _TopicData] = OrderedDict()
         self._bulky: OrderedDict[int, _TopicData] = OrderedDict()
         self._paced: OrderedDict[int, _TopicData] = OrderedDict()
+        self._bytes = {"replies": 0, "requests": 0, "topic data": 0}
         # True when the next that leaves of a client that is behind is bulky.
         self._bulky_first = False
-        self._topic_bytes = 0
-        # Which of them wait for each subscription, oldest first; the subscriptions that wait for a throttle, and those
-        # with bulky messages.
-        self._waiting: dict[Subscription, deque[int]] = {}
-        self._throttled: set[Subscription] = set()
-        self._with_bulky: set[Subscription] = set()
+        # Topic data that waits for each subscription, oldest first.
+        self._waiting: dict[Subscription, deque[_TopicData]] = {}
         # Messages that hold up those behind them until they are encoded, and those whose encoding has not begun.
-        self._unready: dict[int, _Waiting] = {}
+        self._unready: set[_Waiting] = set()
         self._to_encode: list[EncodedMessage] = []
         # Large answers and requests that have been taken out last: the socket may still have them.
         self._leaving_bytes = 0
@@ -128,44 +130,44 @@ class SendQueue:
     @property
     def empty(self) -> bool:
         """True when nothing waits."""
-        return not (self._free or self._bulky or self._paced or self._replies)
+        return not (self._waiting or self._replies)
 
     @property
     def has_topic_data(self) -> bool:
         """True while topic data waits."""
-        return bool(self._free or self._bulky or self._paced)
+        return bool(self._waiting)
+
+    @property
+    def reply_bytes(self) -> int:
+        """Size of the replies that wait [bytes]."""
+        return self._bytes["replies"]
 
     @property
     def size_bytes(self) -> int:
         """Size of all that waits, and of large answers that the socket may still have [bytes]."""
-        return self._topic_bytes + self.reply_bytes + self._request_bytes + self._leaving_bytes
+        return sum(self._bytes.values()) + self._leaving_bytes
 
     def put_reply(self, encoded: EncodedMessage) -> None:
         """Queue a reply; one alone may have any size, one too many beside others sets `overflowed`."""
         if self._closed:
             return
-        size_bytes = self.reply_bytes + encoded.size_bytes
-        if self.reply_bytes and size_bytes > self._limits.max_queued_reply_bytes:
+        if self.reply_bytes and self.reply_bytes + encoded.size_bytes > self._limits.max_queued_reply_bytes:
             self.overflowed = True
             return
-        self.reply_bytes = size_bytes
-        self._put(next(self._sequence), encoded)
-        self._keep_limit()
+        self._put(_Waiting(next(self._sequence), encoded, encoded.size_bytes, "replies", self._replies))
         self._budget.make_room_for_reply()
 
     def put_request(self, encoded: EncodedMessage) -> bool:
         """Queue a call or goal; False when there is no room beside others. One alone may have any size."""
-        size_bytes = self._request_bytes + encoded.size_bytes
-        if self._closed or (self._requests and size_bytes > self._limits.max_queued_request_bytes):
+        waiting_bytes = self._bytes["requests"]
+        is_too_much = waiting_bytes and waiting_bytes + encoded.size_bytes > self._limits.max_queued_request_bytes
+        if self._closed or is_too_much:
             return False
-        sequence = next(self._sequence)
-        self._request_bytes = size_bytes
-        self._requests.add(sequence)
-        self._put(sequence, encoded)
-        self._keep_limit()
+        request = _Waiting(next(self._sequence), encoded, encoded.size_bytes, "requests", self._replies)
+        self._put(request)
         if self._budget.make_room():
             return True
-        self._take_reply(sequence)
+        self._take(request)
         return False
 
     def put_topic_data(
@@ -174,28 +176,21 @@ class SendQueue:
         """Queue topic data that its subscription has admitted, and drop what exceeds the bounds then."""
         if self._closed:
             return
-        if subscription in self._waiting:
-            while 0 < subscription.queue_length <= len(self._waiting.get(subscription, ())):
-                self._drop(self._waiting[subscription][0])
-            self._drop_late(subscription, now)
-        sequence = next(self._sequence)
-        if subscription in self._waiting:
-            self._waiting[subscription].append(sequence)
+        while 0 < subscription.queue_length <= len(self._waiting.get(subscription, ())):
+            self._drop(self._waiting[subscription][0])
+        self._drop_late(subscription, now)
+        # Behind messages that are bulky, or wait for a throttle that is gone, others wait too: they keep their order.
+        lane_before = self._waiting[subscription][-1].lane if subscription in self._waiting else self._free
+        if subscription.paced or lane_before is self._paced:
+            lane = self._paced
         else:
-            self._waiting[subscription] = deque((sequence,))
-        waiting = _TopicData(encoded, encoded.size_bytes, subscription, now)
-        # Behind messages that wait for a throttle that is gone, others wait too: they keep their order.
-        if subscription.paced or subscription in self._throttled:
-            self._paced[sequence] = waiting
-            self._throttled.add(subscription)
-        elif subscription in self._with_bulky or (waiting.size_bytes >= BULKY_BYTES and not in_order):
-            self._bulky[sequence] = waiting
-            self._with_bulky.add(subscription)
-        else:
-            self._free[sequence] = waiting
-        self._topic_bytes += waiting.size_bytes
-        self._count(sequence, waiting)
-        self._keep_limit()
+            is_bulky = encoded.size_bytes >= BULKY_BYTES and not in_order
+            lane = self._bulky if is_bulky else lane_before
+        waiting = _TopicData(
+            next(self._sequence), encoded, encoded.size_bytes, "topic data", lane, subscription, queued_s=now
+        )
+        self._waiting.setdefault(subscription, deque()).append(waiting)
+        self._put(waiting)
         self._budget.make_room()
 
     def drop_late(self, now: float) -> None:
@@ -205,7 +200,8 @@ class SendQueue:
 
     def drop_oldest(self) -> None:
         """Drop the oldest topic data."""
-        self._drop(min(next(iter(lane)) for lane in (self._free, self._bulky, self._paced) if lane))
+        oldest = (next(iter(lane.values())) for lane in (self._free, self._bulky, self._paced) if lane)
+        self._drop(min(oldest, key=_SEQUENCE))
 
     def give_up(self) -> None:
         """Drop all that waits and take no more, before the client is closed."""
@@ -215,10 +211,9 @@ class SendQueue:
     def close(self) -> None:
         """Drop all that waits and take no more."""
         self._closed = True
-        for sequence in list(self._replies):
-            self._take_reply(sequence)
-        for sequence in sorted((*self._free, *self._bulky, *self._paced)):
-            self._take(sequence)
+        for lane in (self._replies, self._free, self._bulky, self._paced):
+            for waiting in list(lane.values()):
+                self._take(waiting)
         self._to_encode.clear()
         self._count_leaving(0)
 
@@ -234,87 +229,74 @@ class SendQueue:
 
         Call it when the socket takes more, also when nothing waits: what has been taken out before has left then.
         """
-        if self._leaving_bytes:
-            self._count_leaving(0)
-        if len(self._free) == 1 and not (self._bulky or self._paced or self._replies):
-            return self._take_only(now)
+        self._count_leaving(0)
         self._budget.note_reading(self)
-        self._forget_closed()
-        due, due_bytes = [], 0
-        for sequence in self._due(now):
-            encoded = self._encoded(sequence)
-            if not encoded.ready:
+        for subscription in [one for one in self._waiting if one.closed]:
+            for unwanted in list(self._waiting[subscription]):
+                self._take(unwanted)
+        due: list[_Waiting] = []
+        due_bytes = 0
+        for waiting in self._due(now):
+            if not waiting.encoded.ready:
                 break
-            due.append(sequence)
-            due_bytes += encoded.size_bytes
+            due.append(waiting)
+            due_bytes += waiting.encoded.size_bytes
             if due_bytes >= budget_bytes:
                 break
         if self._bulky:
             self._bulky_first = not self._bulky_first
-        leaving_bytes = sum(self._replies[each].encoded.size_bytes for each in due if each in self._replies)
+        leaving_bytes = sum(each.encoded.size_bytes for each in due if not isinstance(each, _TopicData))
         if leaving_bytes >= LARGE_ANSWER_BYTES:
             self._count_leaving(leaving_bytes)
-        taken = [self._take_reply(each) if each in self._replies else self._take_sent(each, now) for each in due]
+        for waiting in due:
+            self._take(waiting)
+            if isinstance(waiting, _TopicData):
+                waiting.subscription.sent(now)
         # A message that could not be encoded has no frames.
-        return [encoded for encoded in taken if encoded.frame_count]
+        return [each.encoded for each in due if each.encoded.frame_count]
 
     def next_due(self, now: float) -> float | None:
         """Return when the next message may leave [s]; None when nothing waits or the first is still to be encoded."""
         if self._unready or self._bulky:
             first = next(self._due(now), None)
             if first is not None:
-                return now if self._encoded(first).ready else None
+                return now if first.encoded.ready else None
         elif self._replies or self._free:
             return now
-        return min((max(now, subscription.due_s) for subscription in self._throttled), default=None)
+        return min((max(now, subscription.due_s) for subscription in self._throttled()), default=None)
 
-    def _take_only(self, now: float) -> list[EncodedMessage]:
-        """Take out the one message that waits, as mostly with a client that keeps up."""
-        ((sequence, waiting),) = self._free.items()
-        if not waiting.encoded.ready and not waiting.subscription.closed:
-            return []
-        encoded = self._take_sent(sequence, now)
-        return [encoded] if encoded.frame_count and not waiting.subscription.closed else []
+    def _throttled(self) -> list[Subscription]:
+        """Return the subscriptions whose messages wait for a throttle."""
+        paced = self._paced
+        return [each for each, waiting in self._waiting.items() if waiting[-1].lane is paced] if paced else []
 
-    def _due(self, now: float) -> Iterator[int]:
-        """Go over the sequence numbers of all that may leave, in order; nothing may be taken out meanwhile."""
-        lanes: list[Iterable[int]] = [lane for lane in (self._replies, self._free) if lane]
-        for subscription in self._throttled:
+    def _due(self, now: float) -> Iterator[_Waiting]:
+        """Go over all that may leave, in order; nothing may be taken out meanwhile."""
+        lanes: list[Iterable[_Waiting]] = [lane.values() for lane in (self._replies, self._free) if lane]
+        for subscription in self._throttled():
             waiting = self._waiting[subscription]
             due = itertools.islice(waiting, subscription.due_count(len(waiting), now))
             # Those that have waited since before the subscription had its throttle are free.
-            lanes.append(sequence for sequence in due if sequence in self._paced)
+            lanes.append(each for each in due if each.lane is self._paced)
         if self._bulky:
-            sequence, oldest = next(iter(self._bulky.items()))
+            oldest = next(iter(self._bulky.values()))
             if oldest.queued_s >= now - BEHIND_S:
-                lanes.append(self._bulky)
+                lanes.append(self._bulky.values())
             elif oldest.encoded.ready:
-                first = itertools.islice(self._bulky, 1)
-                rest = heapq.merge(*lanes)
-                is_next = self._waiting[oldest.subscription][0] == sequence
-                return itertools.chain(first, rest) if self._bulky_first and is_next else itertools.chain(rest, first)
-        return iter(lanes[0]) if len(lanes) == 1 else heapq.merge(*lanes)
+                rest = heapq.merge(*lanes, key=_SEQUENCE)
+                is_next = self._waiting[oldest.subscription][0] is oldest
+                goes_first = self._bulky_first and is_next
+                return itertools.chain((oldest,), rest) if goes_first else itertools.chain(rest, (oldest,))
+        return iter(lanes[0]) if len(lanes) == 1 else heapq.merge(*lanes, key=_SEQUENCE)
 
-    def _encoded(self, sequence: int) -> EncodedMessage:
-        return (self._replies[sequence] if sequence in self._replies else self._topic_data(sequence)).encoded
-
-    def _topic_data(self, sequence: int) -> _TopicData:
-        return self._lane_of(sequence)[sequence]
-
-    def _lane_of(self, sequence: int) -> OrderedDict[int, _TopicData]:
-        if sequence in self._free:
-            return self._free
-        return self._bulky if sequence in self._bulky else self._paced
-
-    def _put(self, sequence: int, encoded: EncodedMessage) -> None:
-        waiting = self._replies[sequence] = _Waiting(encoded, encoded.size_bytes)
-        self._count(sequence, waiting)
-
-    def _count(self, sequence: int, waiting: _Waiting) -> None:
+    def _put(self, waiting: _Waiting) -> None:
+        waiting.lane[waiting.sequence] = waiting
+        self._bytes[waiting.account] += waiting.size_bytes
         self._budget.charge(self, waiting.size_bytes)
         if not waiting.encoded.ready:
-            self._unready[sequence] = waiting
+            self._unready.add(waiting)
             self._to_encode.append(waiting.encoded)
+        self._keep_limit()
 
     def _count_leaving(self, size_bytes: int) -> None:
         more_bytes, self._leaving_bytes = size_bytes - self._leaving_bytes, size_bytes
@@ -325,16 +307,11 @@ class SendQueue:
 
     def _recount(self) -> None:
         """Correct the sizes of messages that have been encoded; the bounds hold for what they really have."""
-        for sequence in [each for each, waiting in self._unready.items() if waiting.encoded.ready]:
-            waiting = self._unready.pop(sequence)
+        for waiting in [each for each in self._unready if each.encoded.ready]:
+            self._unready.remove(waiting)
             more_bytes = waiting.encoded.size_bytes - waiting.size_bytes
             waiting.size_bytes += more_bytes
-            if sequence in self._requests:
-                self._request_bytes += more_bytes
-            elif sequence in self._replies:
-                self.reply_bytes += more_bytes
-            else:
-                self._topic_bytes += more_bytes
+            self._bytes[waiting.account] += more_bytes
             self._budget.charge(self, more_bytes)
         # A reply that turns out to be larger stays: it is due already.
         self._keep_limit()
@@ -345,8 +322,7 @@ class SendQueue:
         # The newest always stays, even beyond the bound: else it could never be delivered.
         limits = self._limits
         while (count := len(self._free) + len(self._bulky) + len(self._paced)) > 1 and (
-            count > limits.max_queued_messages
-            or self._topic_bytes + self.reply_bytes + self._request_bytes > limits.max_queued_bytes
+            count > limits.max_queued_messages or sum(self._bytes.values()) > limits.max_queued_bytes
         ):
             self.drop_oldest()
 
@@ -354,53 +330,28 @@ class SendQueue:
         """Drop the oldest messages of a subscription that could have left longer ago than they may wait."""
         since_s = now - self._limits.max_topic_delay_s
         while waiting := self._waiting.get(subscription):
-            oldest = self._topic_data(waiting[0])
+            oldest = waiting[0]
             if max(subscription.due_s, oldest.queued_s) >= since_s:
                 return
             # It is not the client that is slow while a message is encoded.
             if not oldest.encoded.ready:
                 oldest.queued_s = now
                 return
-            self._drop(waiting[0])
+            self._drop(oldest)
 
-    def _forget_closed(self) -> None:
-        for subscription in [one for one in self._waiting if one.closed]:
-            for sequence in list(self._waiting[subscription]):
-                self._take(sequence)
-
-    def _take_reply(self, sequence: int) -> EncodedMessage:
-        waiting = self._replies.pop(sequence)
-        if sequence in self._requests:
-            self._requests.remove(sequence)
-            self._request_bytes -= waiting.size_bytes
-        else:
-            self.reply_bytes -= waiting.size_bytes
-        self._release(sequence, waiting)
-        return waiting.encoded
-
-    def _take_sent(self, sequence: int, now: float) -> EncodedMessage:
-        taken = self._take(sequence)
-        taken.subscription.sent(now)
-        return taken.encoded
-
-    def _drop(self, sequence: int) -> None:
-        subscription = self._take(sequence).subscription
+    def _drop(self, oldest: _TopicData) -> None:
+        self._take(oldest)
         self.dropped += 1
-        self.throttled += subscription.paced
+        self.throttled += oldest.subscription.paced
 
-    def _take(self, sequence: int) -> _TopicData:
-        """Take out topic data; of its subscription it must be the oldest."""
-        taken = self._lane_of(sequence).pop(sequence)
-        self._topic_bytes -= taken.size_bytes
-        waiting = self._waiting[taken.subscription]
-        waiting.popleft()
-        if not waiting:
-            del self._waiting[taken.subscription]
-            self._throttled.discard(taken.subscription)
-            self._with_bulky.discard(taken.subscription)
-        self._release(sequence, taken)
-        return taken
-
-    def _release(self, sequence: int, waiting: _Waiting) -> None:
-        self._unready.pop(sequence, None)
+    def _take(self, waiting: _Waiting) -> None:
+        """Take a message out; of the topic data of a subscription it must be the oldest."""
+        del waiting.lane[waiting.sequence]
+        self._bytes[waiting.account] -= waiting.size_bytes
+        self._unready.discard(waiting)
+        if isinstance(waiting, _TopicData):
+            of_subscription = self._waiting[waiting.subscription]
+            of_subscription.popleft()
+            if not of_subscription:
+                del self._waiting[waiting.subscription]
         self._budget.release(self, waiting.size_bytes, empty=self.empty and not self._leaving_bytes)

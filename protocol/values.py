@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar
+from typing import Annotated, Any, TypeAlias, TypeVar
 
+import msgspec
 import pybase64
 
 from protocol.errors import MessageError, describe
@@ -30,9 +31,14 @@ INTEGER_RANGES = {
     **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
 }
 
-# What the elements of a list may be.
-_ONLY_INT, _ONLY_FLOAT, _NUMBERS = frozenset((int,)), frozenset((float,)), frozenset((int, float))
-_ONLY_BOOL, _ONLY_STR = frozenset((bool,)), frozenset((str,))
+# The largest finite number of IEEE 754 single precision.
+_FLOAT32_MAX = 3.4028234663852886e38
+
+_STRICT_TYPES: dict[str, Any] = {
+    "bool": bool,
+    "float64": float,
+    "float32": Annotated[float, msgspec.Meta(ge=-_FLOAT32_MAX, le=_FLOAT32_MAX)],
+}
 
 
 def zero(name: str) -> Primitive:
@@ -105,13 +111,34 @@ def element_converter(name: str, max_length: int | None = None) -> Convert:
 
 def list_converter(name: str, max_length: int | None = None) -> ConvertList:
     """Return the quick way for lists in which every element fits; it returns None for any other list."""
-    if name in INTEGER_RANGES:
-        return _integer_list_converter(name)
+    # Infinities of 32 bits are beyond the bounds of the strict type.
+    element = float if name == "float32" else strict_type(name, max_length)
+    if element is None:
+        return lambda _values: None
+    # A struct, since msgspec keeps its types; it would read the types of a list alone each time.
+    struct = msgspec.defstruct("Elements", [("elements", list[element])], array_like=True)  # type: ignore[valid-type]
+
+    def to_elements(values: list[Any]) -> list[Any] | None:
+        try:
+            converted: list[Any] = msgspec.convert((values,), struct).elements  # type: ignore[attr-defined]
+        except (msgspec.ValidationError, OverflowError):
+            return None
+        return converted if name != "float32" or _fit_float32(converted) else None
+
+    return to_elements
+
+
+def strict_type(name: str, max_length: int | None = None) -> Any:
+    """Return the type by which msgspec takes a primitive that needs no conversion; None for unsigned 64 bits.
+
+    msgspec takes no bounds beyond 64 bits with a sign.
+    """
     if name in TEXTS:
-        return _text_list_converter(max_length)
-    if name == "float32":
-        return _floats32
-    return _floats64 if name == "float64" else _bools
+        return str if max_length is None else Annotated[str, msgspec.Meta(max_length=max_length)]
+    if name not in INTEGER_RANGES:
+        return _STRICT_TYPES[name]
+    lowest, highest = INTEGER_RANGES[name]
+    return None if highest >= 1 << 63 else Annotated[int, msgspec.Meta(ge=lowest, le=highest)]
 
 
 def to_list(values: list[Any], convert: Callable[[object], T]) -> list[T]:
@@ -173,33 +200,6 @@ def _integer_converter(name: str) -> Callable[[object], int]:
     return to_integer
 
 
-def _integer_list_converter(name: str) -> ConvertList:
-    lowest, highest = INTEGER_RANGES[name]
-
-    def to_integers(values: list[Any]) -> list[Any] | None:
-        # Sets of types, min and max run in C: less than half the time of a look at each element.
-        if not _ONLY_INT.issuperset(map(type, values)):
-            return None
-        return values.copy() if not values or (lowest <= min(values) and max(values) <= highest) else None
-
-    return to_integers
-
-
-def _floats64(values: list[Any]) -> list[Any] | None:
-    if _ONLY_FLOAT.issuperset(map(type, values)):
-        return values.copy()
-    try:
-        # JavaScript writes the float 1.0 as 1, so a list of floats is seldom of one kind.
-        return list(map(float, values)) if _NUMBERS.issuperset(map(type, values)) else None
-    except OverflowError:
-        return None
-
-
-def _floats32(values: list[Any]) -> list[Any] | None:
-    numbers = _floats64(values)
-    return numbers if numbers is not None and _fit_float32(numbers) else None
-
-
 def _fit_float32(numbers: list[float]) -> bool:
     try:
         # Only with a byte order given does struct refuse a number that is too large; else it stores infinity.
@@ -207,10 +207,6 @@ def _fit_float32(numbers: list[float]) -> bool:
     except OverflowError:
         return False
     return True
-
-
-def _bools(values: list[Any]) -> list[Any] | None:
-    return values.copy() if _ONLY_BOOL.issuperset(map(type, values)) else None
 
 
 def _text_converter(name: str, max_length: int | None) -> Callable[[object], str]:
@@ -227,15 +223,5 @@ def _text_converter(name: str, max_length: int | None) -> Callable[[object], str
     return to_text
 
 
-def _text_list_converter(max_length: int | None) -> ConvertList:
-    def to_texts(values: list[Any]) -> list[Any] | None:
-        if not _ONLY_STR.issuperset(map(type, values)):
-            return None
-        fits = max_length is None or max(map(len, values), default=0) <= max_length
-        return values.copy() if fits else None
-
-    return to_texts
-
-
 _octet = _integer_converter("uint8")
-_octet_list = _integer_list_converter("uint8")
+_octet_list = list_converter("uint8")

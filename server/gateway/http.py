@@ -304,11 +304,6 @@ class PostedRequest:
         return parse_qs(self.request.path.partition("?")[2], keep_blank_values=True)
 
 
-def bad_request(sentence: str) -> bytes:
-    """Return the bytes of the answer to a request that was not read to its end."""
-    return HttpResponse.of_text(HTTPStatus.BAD_REQUEST, sentence).response(Request("/", Headers())).serialize()
-
-
 def names(headers: Headers, header: str, token: str) -> bool:
     """Return True for a header of comma-separated words that has a word."""
     return any(word.strip().lower() == token for line in headers.get_all(header) for word in line.split(","))

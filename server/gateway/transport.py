@@ -327,7 +327,7 @@ class Transport(asyncio.Protocol):
         """
         if not self.takes_more:
             return False
-        pieces = encoded.wire_pieces()
+        pieces = encoded.wire
         size_bytes = sum(map(len, pieces))
         self.sent_messages += encoded.frame_count
         self.sent_bytes += size_bytes
@@ -344,7 +344,7 @@ class Transport(asyncio.Protocol):
 
     def send_all(self, messages: Sequence[EncodedMessage]) -> None:
         """Send messages that have waited, after `takes_more` was true; one call of the kernel takes them together."""
-        pieces = [piece for encoded in messages for piece in encoded.wire_pieces()]
+        pieces = [piece for encoded in messages for piece in encoded.wire]
         self.sent_messages += sum(encoded.frame_count for encoded in messages)
         self.sent_bytes += sum(map(len, pieces))
         self._write(pieces)

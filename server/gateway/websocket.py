@@ -12,99 +12,75 @@ import logging
 import re
 import secrets
 from collections.abc import Awaitable, Callable
+from http import HTTPStatus
 from typing import cast
 from urllib.parse import parse_qs
 
 from websockets.datastructures import Headers
-from websockets.exceptions import ConnectionClosedOK, InvalidMessage
+from websockets.exceptions import ConnectionClosedOK
 from websockets.frames import CloseCode, Frame, Opcode
 from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 from websockets.speedups import apply_mask
-from websockets.utils import accept_key
 
-from protocol.errors import one_line, shorten
 from robot.stop_epochs import STOP_EPOCHS
 from server.gateway.admission import AdmissionPolicy, ConnectionLimiter, HandshakeRequest
-from server.gateway.http import HttpHandler, HttpResponse, PostedRequest, bad_request, names
+from server.gateway.http import HttpHandler, HttpResponse, PostedRequest, names
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import INTERNAL_ERROR, OUT_OF_MEMORY, Transport
 from server.graph.permissions import Identity
 
-# Names and values as websockets allows them (RFC 9110, 5.1 and 5.5), without values beyond ASCII, and half of the
-# headers that it allows. No part can give back what it has matched to the next one, so matching takes one pass.
-_HEADERS = rb"((?:[-!#$%&'*+.^_`|~0-9a-zA-Z]+:[\t -~]*\r\n){1,64})\r\n"
-_GET = re.compile(rb"(GET) (/[!-~]*) HTTP/1\.1\r\n" + _HEADERS)
-
-# POST, PUT and PATCH; HTTP/1.0 is the protocol of old controllers.
-_POST = re.compile(rb"(P[A-Z]{2,8}) (/[!-~]*) HTTP/1\.[01]\r\n" + _HEADERS)
-_END_OF_HEAD = b"\r\n\r\n"
-MAX_HEAD_BYTES = 8192
-
-# Half of what websockets allows one line: no limit of lines can be reached within it.
-MAX_UPGRADE_BYTES = 4096
-
-# RFC 6455, 4.2.1. The key is 16 bytes in base64.
-_UPGRADE = {
-    "Upgrade": re.compile("websocket", re.IGNORECASE),
-    "Connection": re.compile("(?:keep-alive, ?)?upgrade", re.IGNORECASE),
-    "Sec-WebSocket-Key": re.compile("[A-Za-z0-9+/]{22}=="),
-    "Sec-WebSocket-Version": re.compile("13"),
-}
-
-# A body, which is refused, and what websockets reads more of than its one line.
-_NOT_PLAIN = ("Content-Length", "Transfer-Encoding", "Sec-WebSocket-Protocol")
-
-_ACCEPTED = (
-    "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {}\r\n\r\n"
+# Names and values as websockets allows them (RFC 9110, 5.1 and 5.5), and as many headers. No part can give back what it
+# has matched to the next one, so matching takes one pass. HTTP/1.0 is the protocol of old controllers.
+MAX_HEADERS = 128
+_HEAD = re.compile(
+    rb"([A-Z]{1,20}) ([!-~]+) (HTTP/1\.[01])\r\n"
+    rb"((?:[-!#$%%&'*+.^_`|~0-9a-zA-Z]+:[\t -~\x80-\xff]*\r\n){0,%d})\r\n" % MAX_HEADERS
 )
+_END_OF_LINE, _END_OF_HEAD = b"\r\n", b"\r\n\r\n"
+
+# As many servers allow: a line, and all of a head, in which a browser may send the cookies of other programs.
+MAX_LINE_BYTES, MAX_HEAD_BYTES = 8192, 32_768
+
+_MAY_HAVE_BODY = ("POST", "PUT", "PATCH")
 
 
-def read_upgrade(data: bytes) -> Request | None:
-    """Return a plain request for a WebSocket that came as a whole; None for any other, which websockets has to read.
+class RequestError(Exception):
+    """A request that cannot be read, and the status of its answer."""
 
-    With :func:`accept` it saves an eighth of the time that a connection costs.
-    """
-    found = _GET.fullmatch(data) if len(data) <= MAX_UPGRADE_BYTES else None
-    request = None if found is None else _request(found)
-    if request is None or any(name in request.headers for name in _NOT_PLAIN):
-        return None
-    for name, pattern in _UPGRADE.items():
-        values = request.headers.get_all(name)
-        if len(values) != 1 or not pattern.fullmatch(values[0]):
-            return None
-    return request
+    def __init__(self, sentence: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> None:
+        super().__init__(f"this is no complete HTTP request: {sentence}")
+        self.status = status
 
 
-def accept(request: Request) -> bytes:
-    """Return the bytes of the answer that opens the WebSocket for a plain request."""
-    return _ACCEPTED.format(accept_key(request.headers["Sec-WebSocket-Key"])).encode("ascii")
+def read_request(data: bytes) -> tuple[Request, int] | None:
+    """Return a request and the size of its head, behind which its body may follow; None while the head is incomplete.
 
-
-def read_post(data: bytes) -> tuple[Request, int] | None:
-    """Return a request that may have a body, and the size of its head; None while the head is incomplete.
-
-    Raises ValueError for anything else.
+    Raises RequestError. The parser of websockets reads no requests with a body.
     """
     end = data.find(_END_OF_HEAD)
-    if end < 0 and len(data) <= MAX_HEAD_BYTES:
+    head_bytes = len(data) if end < 0 else end + len(_END_OF_HEAD)
+    line_bytes = data.find(_END_OF_LINE, 0, MAX_LINE_BYTES)
+    if line_bytes < 0 and head_bytes > MAX_LINE_BYTES:
+        raise RequestError(f"its first line has more than {MAX_LINE_BYTES} bytes", HTTPStatus.REQUEST_URI_TOO_LONG)
+    if head_bytes > MAX_HEAD_BYTES or data.count(_END_OF_LINE, 0, head_bytes) > MAX_HEADERS + 2:
+        sentence = f"its head has more than {MAX_HEAD_BYTES} bytes or {MAX_HEADERS} headers"
+        raise RequestError(sentence, HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
+    if end < 0:
         return None
-    head_bytes = end + len(_END_OF_HEAD)
-    if end < 0 or head_bytes > MAX_HEAD_BYTES:
-        raise ValueError(f"request line and headers have more than {MAX_HEAD_BYTES} bytes")
-    found = _POST.fullmatch(data[:head_bytes])
+    found = _HEAD.fullmatch(data, 0, head_bytes)
     if found is None:
-        raise ValueError("invalid request line or header")
-    return _request(found), head_bytes
-
-
-def _request(found: re.Match[bytes]) -> Request:
+        raise RequestError("invalid request line or header")
+    method, path, protocol, lines = (part.decode("latin-1") for part in found.groups())
     headers = Headers()
-    for line in found[3].decode("ascii").splitlines():
+    for line in lines.split("\r\n")[:-1]:
         name, _, value = line.partition(":")
         headers[name] = value.strip(" \t")
-    return Request(found[2].decode("ascii"), headers, found[1].decode("ascii"))
+    has_body = headers.get_all("Transfer-Encoding") or {*headers.get_all("Content-Length")} - {"0"}
+    if has_body and method not in _MAY_HAVE_BODY:
+        raise RequestError(f"{method} with a body")
+    return Request(path, headers, method, protocol), head_bytes
 
 
 # Looking a member of an enumeration up takes as long as calling a function.
@@ -138,9 +114,6 @@ _log.setLevel(logging.WARNING)
 # For a client that waits with its body for it (RFC 9110, 10.1.1).
 _CONTINUE = b"HTTP/1.1 100 Continue\r\n\r\n"
 
-# First byte of the methods whose requests have a body.
-_MAY_HAVE_BODY = b"P"
-
 # First byte of a whole message: its last frame (0x80), text or binary, without reserved bits (RFC 6455, 5.2).
 _WHOLE_TEXT, _WHOLE_BINARY = _WHOLE = 0x81, 0x82
 _OPCODE, _LAST_DATA_OPCODE, _MASKED, _LENGTH = 0x0F, 0x02, 0x80, 0x7F
@@ -167,13 +140,10 @@ class WebSocket(Transport):
         self._protocol = ServerProtocol(state=State.OPEN, max_size=None, logger=_log)
         self._rejection: HttpResponse | None = None
         # A posted request whose body has yet to come: its sender, the body's size, and the stop epoch of its arrival.
-        self._may_have_body = False
         self._post: tuple[Request, Identity, int, int] | None = None
         # The end of the wait for the request; later the next ping, or the end of the wait for its answer.
         self._timer: asyncio.TimerHandle | None = None
         self._opened = False
-        # Last bytes of what there is of the request.
-        self._request_end = b""
         # Received bytes, and how far they have been read.
         self._data = b""
         self._begin_at = 0
@@ -206,32 +176,11 @@ class WebSocket(Transport):
         if self._opened or self._ending:
             super().data_received(data)
             return
-        is_first = not self.received_bytes
         self.received_bytes += len(data)
-        if self._task is not None:
-            # A request over HTTP is being answered.
-            return
-        if is_first:
-            upgrade = read_upgrade(data)
-            if upgrade is not None:
-                self._respond(upgrade)
-                return
-            self._protocol = ServerProtocol(max_size=None, logger=_log)
-            self._may_have_body = data.startswith(_MAY_HAVE_BODY)
-        if self._may_have_body:
+        # No more is read while a request over HTTP is being answered.
+        if self._task is None:
             self._data += data
-            self._read_post()
-            return
-        before = self._request_end
-        end = (before + data).find(_END_OF_HEAD)
-        length = len(data) if end < 0 else end + len(_END_OF_HEAD) - len(before)
-        self._request_end = (before + data)[1 - len(_END_OF_HEAD) :]
-        # Frames that a client sends along with its request are read when the WebSocket is open.
-        self._data = data[length:]
-        self._protocol.receive_data(data[:length])
-        for event in self._protocol.events_received():
-            self._respond(cast(Request, event))
-        self._flush()
+            self._read_request()
 
     def _respond(self, request: Request) -> None:
         """Open the WebSocket, refuse the request, or leave it to the handler of HTTP."""
@@ -246,13 +195,12 @@ class WebSocket(Transport):
             self._close_after_replies()
         elif upgrade:
             self.identity = admitted
-            if self._protocol.state is _OPEN:
-                self._write((accept(request),))
-            else:
-                self._protocol.send_response(self._protocol.accept(request))
-                self._flush()
-            if self._protocol.state is _OPEN:
+            response = self._protocol.accept(request)
+            self._write((response.serialize(),))
+            if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
                 self._open(request)
+            else:
+                self._close_after_replies()
         else:
             body_bytes = self._http.body_bytes(request)
             if isinstance(body_bytes, HttpResponse):
@@ -280,17 +228,18 @@ class WebSocket(Transport):
                 await self._http.answer(request, self._send_answer)
         self._close_after_replies()
 
-    def _read_post(self) -> None:
-        """Read a request that may have a body, and answer it once it is complete."""
+    def _read_request(self) -> None:
+        """Read a request, and answer a posted one once its body is there."""
         if self._post is None:
             try:
-                found = read_post(self._data)
-            except ValueError as error:
+                found = read_request(self._data)
+            except RequestError as error:
                 self._cancel_timer()
-                self._refuse_request(f"this is no complete HTTP request: {error}")
+                self._refuse_request(str(error), error.status)
                 return
             if found is None:
                 return
+            # Frames that a client sends along with its request are read when the WebSocket is open.
             self._data = self._data[found[1] :]
             self._respond(found[0])
         if self._post is None or len(self._data) < self._post[2]:
@@ -314,18 +263,16 @@ class WebSocket(Transport):
 
     async def _send_answer(self, response: Response) -> None:
         self._transport.set_write_buffer_limits(0)
-        self._protocol.send_response(response)
-        # Without the end of the stream, which comes last.
-        self._write_now([each for each in self._protocol.data_to_send() if each])
+        self._write_now((response.serialize(),))
         await self.drain()
 
     def _end_request(self) -> None:
         self._refuse_request(f"the request was not complete within {REQUEST_TIMEOUT_S:g} s")
 
-    def _refuse_request(self, sentence: str) -> None:
+    def _refuse_request(self, sentence: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> None:
         # A connection without a byte was opened ahead by a browser, or is a port scan.
         if self.received_bytes:
-            self._write((bad_request(sentence),))
+            self._write((HttpResponse.of_text(status, sentence).response(Request("/", Headers())).serialize(),))
         self._close_after_replies(linger=bool(self.received_bytes))
 
     def eof_received(self) -> bool:
@@ -462,12 +409,7 @@ class WebSocket(Transport):
             if data:
                 self._write((data,))
                 continue
-            error = self._protocol.handshake_exc
-            if self._opened:
-                self._failure = self._failure or self._protocol_failure()
-            elif isinstance(error, InvalidMessage):
-                reason = one_line(shorten(str(error.__cause__ or error)))
-                self._write((bad_request(f"this is no complete HTTP request: {reason}"),))
+            self._failure = self._failure or self._protocol_failure()
             self._cancel_timer()
             self._close_after_replies()
 

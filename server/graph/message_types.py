@@ -14,7 +14,7 @@ from protocol.errors import InterfaceError, LargeMessageError, MessageError, des
 from protocol.messages import MAX_VALUES, Stamp
 from protocol.publication import LARGE_BYTES
 from protocol.registry import Kind, Registry
-from protocol.strict_messages import PublicationReader, strict_type
+from protocol.strict_messages import PublicationReader, publication_reader
 
 # Values of the lists of one client's message beyond which a thread completes it: 10 ms at the slowest.
 VALUES_AT_ONCE = 4_000
@@ -95,7 +95,6 @@ class MessageTypes:
         self.wall_clock = wall_clock
         self._relay_unknown_types = relay_unknown_types
         self._to_compile: deque[str] = deque()
-        self._strict_readers: dict[str, PublicationReader | None] = {}
 
     def canonical(self, name: str, kind: Kind) -> str:
         """Return the three-part name of a type, or raise InterfaceError."""
@@ -109,10 +108,7 @@ class MessageTypes:
 
     def strict_reader(self, type_name: str) -> PublicationReader | None:
         """Return what reads messages of a type that are just as it declares them; None for a type that has none."""
-        if type_name not in self._strict_readers:
-            strict = strict_type(self.registry, type_name) if self.registry.knows(type_name) else None
-            self._strict_readers[type_name] = None if strict is None else PublicationReader(strict)
-        return self._strict_readers[type_name]
+        return publication_reader(self.registry, type_name) if self.registry.knows(type_name) else None
 
     def now(self) -> Stamp:
         """Return the time of receipt of what comes now."""
@@ -125,7 +121,9 @@ class MessageTypes:
     async def compile_waiting(self) -> None:
         """Compile the types that wait, in a thread; the event loop has its turns meanwhile."""
         while self._to_compile:
-            await asyncio.to_thread(messages.complete, self.registry, self._to_compile.popleft(), {}, Stamp(0, 0))
+            type_name = self._to_compile.popleft()
+            await asyncio.to_thread(messages.complete, self.registry, type_name, {}, Stamp(0, 0))
+            await asyncio.to_thread(self.strict_reader, type_name)
 
     def complete(self, type_name: str, value: object, received: Stamp | None = None) -> dict[str, Any]:
         """Validate a message and fill in what it leaves out; see `protocol.messages.complete`.
@@ -170,7 +168,7 @@ class MessageTypes:
     ) -> dict[str, Any]:
         try:
             return messages.complete(
-                self.registry, type_name, value, received or self.now, max_values, max_values_at_once
+                self.registry, type_name, value, received or self.now(), max_values, max_values_at_once
             )
         except InterfaceError:
             # Only types that `canonical` let through get here: nothing is known that could be checked.

@@ -1,4 +1,5 @@
 import itertools
+import json
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from protocol.codecs import cdr
 from protocol.errors import InterfaceFilesError, MessageError
 from protocol.interface_packages import UserInterfaces, read_packages
 from protocol.messages import Stamp, complete
-from protocol.strict_messages import strict_type
+from protocol.strict_messages import publication_reader
 from protocol.type_descriptions import full_text, message_hash, service_hash
 from tests.conformance.cases import INTERFACES
 from tests.helpers.messages import REGISTRY, made_up
@@ -236,10 +237,11 @@ def test_messages_of_the_users_types_go_through_cdr_unchanged() -> None:
 
 @given(st.text(st.characters(exclude_categories=["Cs"]), max_size=13))
 def test_the_strict_form_takes_a_text_if_it_has_no_more_characters_than_its_bound(text: str) -> None:
-    strict = strict_type(USER, "lab_msgs/msg/Tag")
-    assert strict is not None
+    reader = publication_reader(USER, "lab_msgs/msg/Tag")
+    assert reader is not None
     tag = {"text": text, "level": 0, "since": {"sec": 0, "nanosec": 0}}
-    assert strict.complete(tag) == (tag if len(text) <= 10 else None)
+    frame = json.dumps({"op": "publish", "topic": "/t", "msg": tag}, ensure_ascii=False)
+    assert (reader.read(frame, "/t") is not None) == (len(text) <= 10 and text.isascii())
 
 
 def test_text_in_cdr_that_is_longer_than_its_bound_or_wide_and_no_utf_16_is_refused() -> None:

@@ -50,11 +50,13 @@ def parsed(stream):
 def test_on_the_wire_a_frame_is_a_whole_message_of_its_kind_also_in_pieces(length):
     for text in (True, False):
         frame = Frame(b"x" * length, text=text)
-        (read,) = parsed(EncodedMessage(frame).on_wire)
+        (read,) = parsed(b"".join(EncodedMessage(frame).wire))
         assert (read.opcode, read.data, read.fin) == (Opcode.TEXT if text else Opcode.BINARY, frame.data, True)
     parts = (b"a", b"x" * length, b"b")
     message, frame = EncodedMessage.text(*parts), Frame(b"".join(parts), text=True)
-    assert b"".join(message.wire_pieces()) == frame.on_wire() == message.on_wire
+    assert b"".join(message.wire) == frame.on_wire()
+    # A large message is not copied.
+    assert length < LARGE_BYTES or message.wire[-2] is parts[1]
     assert message.frames == (frame,)
 
 
@@ -87,7 +89,7 @@ def test_a_message_is_encoded_once_for_all_that_want_the_same_and_goes_out_as_it
     for dialect in ("ros2", "ros1"):
         message = published()
         first, second = (message.encoded("/chatter", encoding, dialect, None) for _ in range(2))
-        assert first.on_wire is second.on_wire
+        assert first.wire[-1] is second.wire[-1]
         message = PublishedMessage("/a", "my_msgs/msg/Own", {"list": [1, 2]}, REGISTRY, RECEIVED)
         assert decoded(frame_of(message, "/a", encoding, dialect), encoding)["msg"] == {"list": [1, 2]}
     if encoding != "png":

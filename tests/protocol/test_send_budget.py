@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -225,16 +227,16 @@ class Clients(RuleBasedStateMachine):
     def no_bound_is_exceeded_by_more_than_one_message_and_an_empty_queue_has_no_bytes(self) -> None:
         assert self.budget.used_bytes <= self.budget.limit_bytes
         for queue in self.queues:
-            assert queue._topic_bytes <= LIMITS.max_queued_bytes
-            assert min(queue._request_bytes, queue.reply_bytes) >= 0
+            assert queue._bytes["topic data"] <= LIMITS.max_queued_bytes
+            assert min(queue._bytes.values()) >= 0
             assert not queue.empty or queue.size_bytes == queue._leaving_bytes
 
     @invariant()
     def each_subscription_knows_exactly_what_waits_for_it(self) -> None:
         for queue in self.queues:
-            known = sorted(sequence for lane in queue._waiting.values() for sequence in lane)
-            assert known == sorted((*queue._free, *queue._bulky, *queue._paced))
-            assert all(list(lane) == sorted(lane) for lane in queue._waiting.values())
+            known = [[each.sequence for each in lane] for lane in queue._waiting.values()]
+            assert sorted(itertools.chain(*known)) == sorted((*queue._free, *queue._bulky, *queue._paced))
+            assert all(lane == sorted(lane) for lane in known)
 
     def teardown(self) -> None:
         self.patched.undo()

@@ -1,13 +1,14 @@
-"""Requests that are read in one step: websockets reads the same in them, and gives the same answer."""
+"""Requests are read as websockets reads them, or not at all."""
 
-import re
+from http import HTTPStatus
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from websockets.http11 import Request
 from websockets.server import ServerProtocol
 
-from server.gateway.websocket import MAX_UPGRADE_BYTES, accept, read_upgrade
+from server.gateway.websocket import MAX_HEAD_BYTES, MAX_HEADERS, MAX_LINE_BYTES, RequestError, read_request
 
 KEY = "dGhlIHNhbXBsZSBub25jZQ=="
 PLAIN = {
@@ -30,26 +31,23 @@ def plain(**changes: str | None) -> bytes:
     return request([(name, value) for name, value in fields.items() if value is not None])
 
 
-def by_websockets(data: bytes) -> tuple[Request | None, bytes]:
-    """What websockets reads in a request, and its answer to it."""
-    protocol = ServerProtocol()
-    protocol.receive_data(data)
-    (event,) = protocol.events_received() or (None,)
-    if not isinstance(event, Request):
-        return None, b""
-    protocol.send_response(protocol.accept(event))
-    return event, protocol.data_to_send()[0]
+def read(data: bytes) -> Request | HTTPStatus | None:
+    try:
+        found = read_request(data)
+    except RequestError as error:
+        return error.status
+    return None if found is None else found[0]
 
 
 def assert_like_websockets(data: bytes) -> None:
-    ours = read_upgrade(data)
-    if ours is not None:
-        theirs, answer = by_websockets(data)
-        assert theirs is not None
+    ours = read(data)
+    if isinstance(ours, Request):
+        protocol = ServerProtocol()
+        protocol.receive_data(data)
+        theirs = protocol.events_received()[0]
+        assert isinstance(theirs, Request)
         assert (ours.method, ours.path, ours.protocol) == (theirs.method, theirs.path, theirs.protocol)
         assert list(ours.headers.raw_items()) == list(theirs.headers.raw_items())
-        # A switch of protocols needs no date (RFC 9110, 6.6.1).
-        assert accept(ours) == re.sub(rb"Date: [^\r]*\r\n", b"", answer)
 
 
 # Values that matter, right and wrong, and any other.
@@ -85,37 +83,49 @@ REQUESTS = st.builds(
 
 
 @given(REQUESTS)
-def test_what_is_read_in_one_step_websockets_reads_and_answers_alike(data: bytes) -> None:
+def test_what_is_read_websockets_reads_alike(data: bytes) -> None:
     assert_like_websockets(data)
 
 
 @given(st.data(), st.binary(min_size=1, max_size=3))
-def test_a_plain_request_with_other_bytes_in_it_is_read_alike_or_not_at_all(data: st.DataObject, other: bytes) -> None:
+def test_a_request_with_other_bytes_in_it_is_read_alike_or_not_at_all(data: st.DataObject, other: bytes) -> None:
     whole = plain()
     place = data.draw(st.integers(0, len(whole)))
     length = data.draw(st.integers(0, 3))
     assert_like_websockets(whole[:place] + other + whole[place + length :])
 
 
-def test_a_request_as_clients_send_it_is_read_in_one_step() -> None:
+def test_a_request_as_clients_send_it_is_read_up_to_its_body() -> None:
     for sent in (
         plain(),
         plain(Upgrade="WebSocket", Connection="keep-alive, Upgrade"),
-        plain(Origin="http://localhost", User_Agent="Mozilla/5.0 (X11; Linux)", Cookie="a=b; c=d"),
-        plain(Sec_WebSocket_Extensions="permessage-deflate; client_max_window_bits"),
-        plain(Authorization="Bearer secret"),
+        plain(Origin="http://localhost", User_Agent="Mozilla/5.0 (X11; Linux)", Cookie="a=b; c=d" * 1000),
+        plain(Sec_WebSocket_Extensions="permessage-deflate; client_max_window_bits", X="\xe9"),
+        plain(Content_Length="0"),
+        request([], "GET / HTTP/1.0"),
     ):
-        assert read_upgrade(sent) is not None, sent
+        assert isinstance(read(sent), Request), sent
         assert_like_websockets(sent)
+        assert read_request(sent + b"\x81") == read_request(sent)
+        assert [read(sent[:length]) for length in range(0, len(sent), 50)] == [None] * len(range(0, len(sent), 50))
 
 
-def test_any_other_request_is_left_to_websockets() -> None:
-    others = [plain()[:-1], plain() + b"\x81", plain(Upgrade=None), plain(Connection="close")]
-    others += [plain(Sec_WebSocket_Key="short"), plain(Sec_WebSocket_Version="8"), plain(Sec_WebSocket_Protocol="a")]
-    others += [plain(Content_Length="5"), plain(Transfer_Encoding="chunked"), plain(X="\xe9"), plain(X="a\r\n folded")]
-    others += [
-        request([*PLAIN.items(), *((f"X-{number}", "") for number in range(64))]),
-        plain(X="x" * MAX_UPGRADE_BYTES),
-    ]
-    others += [request([*PLAIN.items()], f"{line} HTTP/1.1") for line in ("HEAD /", "GET http://localhost/")]
-    assert [sent for sent in others if read_upgrade(sent) is not None] == []
+LONG_LINE = f"/{'x' * MAX_LINE_BYTES}"
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"),
+    [
+        (plain(Content_Length="5"), HTTPStatus.BAD_REQUEST),
+        (plain(Transfer_Encoding="chunked"), HTTPStatus.BAD_REQUEST),
+        (plain(X="a\r\n folded"), HTTPStatus.BAD_REQUEST),
+        (request([*PLAIN.items()], "get / HTTP/1.1"), HTTPStatus.BAD_REQUEST),
+        (request([], f"GET {LONG_LINE} HTTP/1.1"), HTTPStatus.REQUEST_URI_TOO_LONG),
+        (LONG_LINE.encode(), HTTPStatus.REQUEST_URI_TOO_LONG),
+        (plain(X="x" * MAX_HEAD_BYTES), HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE),
+        (plain(X="x" * MAX_HEAD_BYTES)[:-4], HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE),
+        (request([("X", "")] * (MAX_HEADERS + 1)), HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE),
+    ],
+)
+def test_any_other_request_is_refused(sent: bytes, status: HTTPStatus) -> None:
+    assert read(sent) is status

@@ -111,7 +111,7 @@ class JointTrajectoryController:
         group: Group,
         arm: AnyArm,
         context: TrajectoryContext,
-        name: str | None = None,
+        name: str,
         *,
         industrial: bool,
     ) -> None:
@@ -122,7 +122,6 @@ class JointTrajectoryController:
         # Publisher on the topic whose latest trajectory was refused, and whose latest one failed after that.
         self._refused: object = None
         self._failed: object = None
-        name = group.name if name is None else name
         self._topic = f"/{name}_controller/joint_trajectory"
         self._stream = MessageStream(self._topic, context.clock)
         action = f"/{name}_controller/follow_joint_trajectory"

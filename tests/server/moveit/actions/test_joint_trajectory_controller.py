@@ -45,6 +45,7 @@ class Desk(ActionDesk):
             ROBOT.groups["arm"],
             self.arm.as_arm,
             TrajectoryContext(self.context, self.queue, TimeLimits()),
+            "arm",
             industrial=True,
         )
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from robot import logs
 from server.commands.options import (
-    CALIBRATION_HELP,
     SERIAL_HELP,
     Subparsers,
+    add_calibration,
     add_command,
     add_connect,
     add_number,
@@ -138,7 +138,7 @@ def add_leader_parser(subparsers: Subparsers) -> None:
     add_connect(parser)
     parser.add_argument("--serial", metavar="PORT", help=f"{SERIAL_HELP} (an emulated arm)")
     add_robot(parser, None)
-    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+    add_calibration(parser)
     parser.add_argument("--topic", default=LEADER_TOPIC, help=f"of the joints ({LEADER_TOPIC})")
     add_number(parser, "--rate", "HZ", (1, MAX_RATE_HZ), DEFAULT_RATE_HZ, f"samples a second ({DEFAULT_RATE_HZ})")
     parser.add_argument(

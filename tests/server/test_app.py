@@ -14,9 +14,7 @@ from server.recording.replay import RecordingFile
 from server.zenoh.settings import ZenohSettings
 
 
-async def test_settings_reach_graph_and_bridge_and_nobody_is_connected_before_the_rules_of_names_are_known() -> (
-    None
-):
+async def test_settings_reach_graph_and_bridge_and_nobody_is_connected_before_the_rules_of_names_are_known() -> None:
     server = ServerSettings(unregister_timeout_s=3.0, limits=Limits(max_message_bytes=70_000))
     app = App(Settings(server=server, zenoh=ZenohSettings(mode="peer")))
     assert app.graph._unregister_timeout_s == 3.0

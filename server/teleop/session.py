@@ -20,7 +20,7 @@ from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
-from server.teleop.following import STALE_S, FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocities
+from server.teleop.following import STALE_S, FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocity
 from server.teleop.gripper_following import GripperFollowing
 from server.teleop.leader import FollowingJoints, JitterBuffer, LeaderPose
 
@@ -270,11 +270,15 @@ class FollowingSession:
             # A target that a limit holds has no velocity.
             held = not link.lower_rad < target_rad < link.upper_rad
             leader_rad_s[link.follower] = 0.0 if held else link.scale * pose.velocity_rad_s.get(link.leader, 0.0)
-        velocities = tracking_velocities(goals, steered, leader_rad_s, self._limits, self._servo.latency_s)
+        latency_s = self._servo.latency_s
+        velocities = {
+            name: tracking_velocity(target - goals[name], leader_rad_s[name], self._limits[name], latency_s)
+            for name, target in steered.items()
+        }
         self._servo.set_command(JointVelocities(velocities), STALE_S)
         gripper = self._follower.gripper
         if self._gripper is not None and gripper is not None and (joint := gripper.joints[0].name) in targets:
-            self._gripper_lead = targets[joint], leader_rad_s.get(joint, 0.0)
+            self._gripper_lead = targets[joint], leader_rad_s[joint]
             self._gripper.go_on()
         self._read_at_s = now_s - pose.latency_s
         self._show_targets(targets)

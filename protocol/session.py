@@ -104,9 +104,7 @@ class Session:
 
     # What comes from the client.
 
-    def receive_frame(
-        self, frame: str | bytes, now: float, *, light: bool = False
-    ) -> list[Operation | Refusal | Packed]:
+    def receive_frame(self, frame: str | bytes, now: float) -> list[Operation | Refusal | Packed]:
         """Read one frame of JSON or BSON; nothing in it makes this raise.
 
         Carry out the operations in this order, unpack `Packed` ones in their place, and log the refusals. A thread may
@@ -117,7 +115,7 @@ class Session:
         if size_bytes > self.limits.max_message_bytes:
             text = f"message of {size_bytes} bytes, the limit is {self.limits.max_message_bytes}"
             return [Refusal(None, None, text)]
-        found = self._reader.feed(frame, light=light)
+        found = self._reader.feed(frame)
         if len(found) == 1:
             return self._read(found[0], now)
         return [item for value in found for item in self._read(value, now)]

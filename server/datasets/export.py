@@ -115,7 +115,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
         cameras = _write_videos(root, sources, options, registry, tell)
         robot = next((source.samples.robot for source in sources if source.samples.robot), None)
         lerobot.write(root, lerobot.Dataset(options.fps, joints, robot, episodes, cameras))
-        lerobot.write_json(root / ARM_PATH, arm)
+        lerobot.write_json(root, ARM_PATH, arm)
         root.rename(options.output)
     count = sum(each.count for each in episodes)
     actions = Counter(name for source in sources for name in source.actions)
@@ -290,7 +290,7 @@ def _write_videos(
     cameras: dict[str, lerobot.CameraVideo] = {}
     with ExitStack() as stack:
         writers = {
-            key: stack.enter_context(VideoWriter(lerobot.video_file(root, key), options.fps))
+            key: stack.enter_context(VideoWriter(lerobot.made_file(root, lerobot.VIDEO_PATH, key), options.fps))
             for key in sources[0].cameras
         }
         statistics: dict[str, list[ImageStatistics]] = {key: [] for key in writers}

@@ -72,7 +72,6 @@ class VideoWriter:
         self.frames = 0
         self._fps = fps
         self._make_frame = av.VideoFrame.from_ndarray
-        path.parent.mkdir(parents=True)
         self._container = av.open(str(path), "w")
         stream: Any = self._container.add_stream(CODEC, rate=fps, options=dict(ENCODER_OPTIONS))
         self._stream = stream
@@ -229,8 +228,11 @@ class Dataset:
         return list(dict.fromkeys(episode.task for episode in self.episodes))
 
 
-def video_file(root: Path, key: str) -> Path:
-    return root / VIDEO_PATH.format(video_key=key, chunk_index=0, file_index=0)
+def made_file(root: Path, path: str, key: str = "") -> Path:
+    """Return the path of the only file of a kind, of a video by its camera's key; its folder is made."""
+    file = root / path.format(video_key=key, chunk_index=0, file_index=0)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    return file
 
 
 def write(root: Path, dataset: Dataset) -> None:
@@ -242,15 +244,14 @@ def write(root: Path, dataset: Dataset) -> None:
             statistics[key] = images.result()
     _write_data(root, dataset, columns)
     _write_episodes(root, dataset, of_episodes)
-    _write_tasks(root, dataset.tasks)
     whole = {name: statistics_of(np.concatenate([each[name] for each in columns])) for name in columns[0]}
     for key, camera in dataset.cameras.items():
         images = ImageStatistics()
         for each in camera.statistics:
             images.merge(each)
         whole[key] = images.result()
-    write_json(root / STATS_PATH, whole)
-    write_json(root / INFO_PATH, info(dataset))
+    write_json(root, STATS_PATH, whole)
+    write_json(root, INFO_PATH, info(dataset))
 
 
 def info(dataset: Dataset) -> dict[str, Any]:
@@ -322,9 +323,7 @@ def _write_data(root: Path, dataset: Dataset, columns: Sequence[Mapping[str, NDA
         **{name: getattr(pa, "bool_" if dtype == "bool" else dtype)() for name, dtype in dataset.flat_columns.items()},
     }
     schema = pa.schema(list(types.items()))
-    path = root / DATA_PATH.format(chunk_index=0, file_index=0)
-    path.parent.mkdir(parents=True)
-    with parquet.ParquetWriter(path, schema) as writer:
+    with parquet.ParquetWriter(made_file(root, DATA_PATH), schema) as writer:
         # A row group for each episode: readers fetch one episode by it.
         for each in columns:
             arrays = [pa.array(each[name].tolist(), type=types[name]) for name in types]
@@ -332,6 +331,7 @@ def _write_data(root: Path, dataset: Dataset, columns: Sequence[Mapping[str, NDA
 
 
 def _write_episodes(root: Path, dataset: Dataset, statistics: Sequence[Mapping[str, Statistics]]) -> None:
+    """Write the metadata of episodes and tasks."""
     # Imported when it is needed: an extra of those who export datasets.
     import pyarrow as pa
     from pyarrow import parquet
@@ -358,22 +358,12 @@ def _write_episodes(root: Path, dataset: Dataset, statistics: Sequence[Mapping[s
             row |= {f"stats/{feature}/{name}": value for name, value in values.items()}
         rows.append(row | {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0})
         first = end
-    path = root / EPISODES_PATH.format(chunk_index=0, file_index=0)
-    path.parent.mkdir(parents=True)
-    parquet.write_table(pa.Table.from_pylist(rows), path)
-
-
-def _write_tasks(root: Path, tasks: Sequence[str]) -> None:
-    # Imported when it is needed: an extra of those who export datasets.
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    table = pa.table({"task_index": pa.array(range(len(tasks)), type=pa.int64()), "task": list(tasks)})
+    parquet.write_table(pa.Table.from_pylist(rows), made_file(root, EPISODES_PATH))
+    tasks = dataset.tasks
+    table = pa.table({"task_index": pa.array(range(len(tasks)), type=pa.int64()), "task": tasks})
     # Readers find a task's number by pandas' index, which is named here as pandas itself writes it.
     described = {"index_columns": ["task"], "column_indexes": [], "columns": _PANDAS_COLUMNS, "pandas_version": "2.2.0"}
-    path = root / TASKS_PATH
-    path.parent.mkdir(parents=True, exist_ok=True)
-    parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(described)}), path)
+    parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(described)}), made_file(root, TASKS_PATH))
 
 
 def _described(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
@@ -383,6 +373,5 @@ def _described(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
 _PANDAS_COLUMNS = [_described("task_index", "int64", "int64"), _described("task", "unicode", "object")]
 
 
-def write_json(path: Path, contents: Mapping[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(contents, indent=4, ensure_ascii=False), encoding="utf-8")
+def write_json(root: Path, path: str, contents: Mapping[str, Any]) -> None:
+    made_file(root, path).write_text(json.dumps(contents, indent=4, ensure_ascii=False), encoding="utf-8")

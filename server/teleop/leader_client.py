@@ -25,44 +25,33 @@ TAKEN_TIMEOUT_S = 5.0
 IN_FLIGHT = 8
 
 
-class NewestSample:
-    """The newest sample of the arm, which one reader waits for."""
-
-    def __init__(self) -> None:
-        self._state: ArmState | None = None
-        self._arrived = asyncio.Event()
-
-    def put(self, state: ArmState) -> None:
-        """Keep a state of an arm that a hand can move, in place of the one before."""
-        if state.mode is Mode.RELAXED and state.position_rad is not None:
-            self._state = state
-            self._arrived.set()
-
-    async def take(self) -> ArmState:
-        """Wait for a sample that has not been taken, and return it."""
-        while (state := self._state) is None:
-            self._arrived.clear()
-            await self._arrived.wait()
-        self._state = None
-        return state
-
-
 class LeaderClient(PublishingClient):
-    """Client that publishes samples of an arm; every few samples wait for the server.
+    """Client that publishes samples of an arm, the newest alone; every few samples wait for the server.
 
     So a slow network gets fewer samples, and never a queue of old ones.
     """
 
-    def __init__(self, target: PublishedTopic, samples: NewestSample, tell: Callable[[str], None]) -> None:
+    def __init__(self, target: PublishedTopic, tell: Callable[[str], None]) -> None:
         super().__init__(target, {target.topic: SAMPLE_TYPE}, tell)
-        self._samples = samples
+        self._newest: asyncio.Queue[ArmState] = asyncio.Queue(1)
+        self._reason = ""
+
+    def take_state(self, state: ArmState) -> None:
+        """Take a state as the next sample if a hand can move the arm; report the fault of an arm."""
+        before, self._reason = self._reason, str(state.fault or state.reason)
+        if self._reason not in ("", before):
+            self._tell(f"the arm: {self._reason}")
+        if state.mode is Mode.RELAXED and state.position_rad is not None:
+            if self._newest.full():
+                self._newest.get_nowait()
+            self._newest.put_nowait(state)
 
     async def publish(self, connection: ClientConnection) -> None:
         """Publish samples for as long as the connection lasts."""
         taken: Awaitable[float] | None = None
         since_ping = 0
         while True:
-            state = await self._samples.take()
+            state = await self._newest.get()
             async with asyncio.timeout(TAKEN_TIMEOUT_S):
                 if since_ping >= IN_FLIGHT and taken is not None:
                     await taken
@@ -90,16 +79,8 @@ async def publish_leader(target: PublishedTopic, settings: Settings, tell: Calla
 
     Raises ConfigurationError for settings of the arm that cannot be used.
     """
-    samples, reported = NewestSample(), [""]
-
-    def take(state: ArmState) -> None:
-        sentence = str(state.fault or state.reason)
-        if sentence and sentence != reported[0]:
-            tell(f"the arm: {sentence}")
-        reported[0] = sentence
-        samples.put(state)
-
-    arm = Arm(arm_config(settings, Description.read(settings.arm)), take)
+    client = LeaderClient(target, tell)
+    arm = Arm(arm_config(settings, Description.read(settings.arm)), client.take_state)
 
     async def run() -> None:
         try:
@@ -107,7 +88,7 @@ async def publish_leader(target: PublishedTopic, settings: Settings, tell: Calla
         except TimeoutError:
             tell(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s")
         else:
-            await LeaderClient(target, samples, tell).keep_connected()
+            await client.keep_connected()
 
     try:
         return await run_until_signal(run())

@@ -63,11 +63,17 @@ def read_sample(message: Message, received_s: float) -> LeaderSample:
 
 
 class Leader:
-    """Leader of a following: an arm of this server, or a topic, whose name begins with a slash."""
+    """Leader of a following: an arm of this server, or a topic, whose name begins with a slash.
+
+    Its samples are checked with the greatest velocities of joints, by their names without the arm's own.
+    """
 
     def __init__(self, name: str, max_velocity_rad_s: Mapping[str, float], clock: Callable[[], float]) -> None:
-        self.name = name
-        self.samples = JitterBuffer(max_velocity_rad_s, MAX_DELAY_S if name.startswith("/") else 0.0)
+        self.name, self.is_topic = name, name.startswith("/")
+        # Beginning of its joints' names.
+        self.prefix = "" if self.is_topic else f"{name}_"
+        velocities = {self.prefix + joint: limit for joint, limit in max_velocity_rad_s.items()}
+        self.samples = JitterBuffer(velocities, MAX_DELAY_S if self.is_topic else 0.0)
         self.joint_names: tuple[str, ...] = ()
         self._clock = clock
         self._publisher: object = None
@@ -133,8 +139,7 @@ class Teleoperation(Feature):
         self._followers = {follower.name: follower for follower in followers}
         self._leaders = frozenset(leaders)
         self._followings: dict[str, _Following] = {}
-        # Followers whose start is in progress, and the stop epoch that the last stop of each following began.
-        self._starting: set[str] = set()
+        # The stop epoch that the last stop of each following began.
         self._last_stops: dict[str, int] = {}
         self._graph.advertise(self._node, TARGETS_TOPIC, JOINT_STATE)
         self._offer_below("", list(self._followers))
@@ -146,27 +151,27 @@ class Teleoperation(Feature):
         async def start(request: Message) -> dict[str, Any]:
             follower = self._chosen_follower(request["follower"], names)
             if (other := self._followings.get(follower.name)) is not None:
-                raise ServiceError(f"{follower.name} follows {other.leader.name}: call {STOP} first")
-            if follower.name in self._starting:
-                raise ServiceError(f"{follower.name} is starting to follow: call {STOP} first")
+                does = "is starting to follow" if other.session is None else f"follows {other.leader.name}"
+                raise ServiceError(f"{follower.name} {does}: call {STOP} first")
             try:
                 check_ready(follower.arm)
             except RefusedError as error:
                 raise ServiceError(f"{follower.name} cannot follow: {error}") from error
-            self._starting.add(follower.name)
+            following = _Following(self._leader(follower, request["leader"]), Node(f"teleop of {follower.name}"))
+            self._followings[follower.name] = following
             try:
-                return await self._begin(request, follower)
-            finally:
-                self._starting.discard(follower.name)
+                return await self._begin(request, follower, following)
+            except BaseException:
+                self._forget(follower, following)
+                raise
 
         async def stop(_request: Message) -> dict[str, Any]:
             epoch = STOP_EPOCHS.begin()
             self._last_stops.update((name, epoch) for name in names)
-            starting = [name for name in names if name in self._starting]
-            running = {} if starting and not self._sessions(names) else self._running(names)
-            for session in running.values():
+            # A start in progress looks for the stop by itself.
+            ended = [name for name in self._followings if name in names]
+            for session in self._sessions(names).values() if ended else self._running(names).values():
                 session.end("stopped by a client")
-            ended = [*running, *starting]
             return {"success": True, "message": f"{' and '.join(ended)} {_verb(ended, 'follow')} no more"}
 
         async def set_clutch(request: Message) -> dict[str, Any]:
@@ -202,12 +207,7 @@ class Teleoperation(Feature):
 
     # Services.
 
-    async def _begin(self, request: Message, follower: Follower) -> dict[str, Any]:
-        self._check_not_stopped(follower)
-        name = request["leader"]
-        self._queue.take_over(follower.joints, f"the leader {name[:80]}")
-        # The way to the leader of a following that has just ended may brake.
-        await self._wait(follower, BRAKING_S, lambda: self._in_use(follower))
+    def _leader(self, follower: Follower, name: str) -> Leader:
         if not name.startswith("/") and name not in self._leaders:
             known = ", ".join(sorted(self._leaders)) or "none"
             raise ServiceError(
@@ -216,36 +216,41 @@ class Teleoperation(Feature):
         below = ["", *(f"/{each.name}" for each in self._followers.values() if each.prefix)]
         if name in {TARGETS_TOPIC, *(f"{each}/joint_states" for each in below)}:
             raise ServiceError(f"leader: must not be {name}, which has the positions of this server's arms")
-        leader = Leader(name, self._watched(follower, name), self._clock)
-        following = self._followings[follower.name] = _Following(leader, Node(f"teleop of {follower.name}"))
-        try:
-            self._listen(following)
-            silence = f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s"
-            await self._wait(follower, FIRST_SAMPLE_S, lambda: "" if leader.joint_names else silence)
-            joints = joint_map(
-                follower.robot,
-                follower.prefix,
-                leader.joint_names,
-                "" if name.startswith("/") else f"{name}_",
-                scale=request["scale"] or 1.0,
-                mirror=request["mirror"],
-                pairs=(request["leader_joints"], request["follower_joints"]),
-            )
-            following.session = FollowingSession(
-                follower,
-                joints,
-                leader.samples,
-                self._context,
-                functools.partial(self._show, follower, following),
-                functools.partial(self._show_targets, following),
-            )
-            following.session.start()
-        except BaseException:
-            self._forget(follower, following)
-            raise
+        joints = follower.robot.movable_joints
+        return Leader(
+            name, {joint.name.removeprefix(follower.prefix): joint.max_velocity for joint in joints}, self._clock
+        )
+
+    async def _begin(self, request: Message, follower: Follower, following: _Following) -> dict[str, Any]:
+        self._check_not_stopped(follower)
+        leader = following.leader
+        self._queue.take_over(follower.joints, f"the leader {leader.name[:80]}")
+        # The way to the leader of a following that has just ended may brake.
+        await self._wait(follower, BRAKING_S, lambda: self._in_use(follower))
+        self._listen(following)
+        silence = f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s"
+        await self._wait(follower, FIRST_SAMPLE_S, lambda: "" if leader.joint_names else silence)
+        joints = joint_map(
+            follower.robot,
+            follower.prefix,
+            leader.joint_names,
+            leader.prefix,
+            scale=request["scale"] or 1.0,
+            mirror=request["mirror"],
+            pairs=(request["leader_joints"], request["follower_joints"]),
+        )
+        following.session = FollowingSession(
+            follower,
+            joints,
+            leader.samples,
+            self._context,
+            functools.partial(self._show, follower, following),
+            functools.partial(self._show_targets, following),
+        )
+        following.session.start()
         followed = ", ".join(f"{link.follower} follows {link.leader}" for link in joints.links)
-        log.info("%s follows %s", follower.name, name)
-        return {"success": True, "message": f"{follower.name} goes to where {name} is, then {followed}"}
+        log.info("%s follows %s", follower.name, leader.name)
+        return {"success": True, "message": f"{follower.name} goes to where {leader.name} is, then {followed}"}
 
     def _check_not_stopped(self, follower: Follower) -> None:
         """Refuse a start that a stop of the arm, or of its following, has overtaken."""
@@ -281,19 +286,11 @@ class Teleoperation(Feature):
             return self._followers[names[0]]
         raise ServiceError(f"follower: must be one of {', '.join(names) or 'none'}, not {name[:80]!r}")
 
-    def _watched(self, follower: Follower, leader: str) -> dict[str, float]:
-        """Return the greatest velocity of the leader's joints that are named as the follower's [rad/s]."""
-        prefix = "" if leader.startswith("/") else f"{leader}_"
-        return {
-            prefix + joint.name.removeprefix(follower.prefix): joint.max_velocity
-            for joint in follower.robot.movable_joints
-        }
-
     # Leaders.
 
     def _listen(self, following: _Following) -> None:
         leader = following.leader
-        if not leader.name.startswith("/"):
+        if not leader.is_topic:
             return
 
         def refused(error: MessageError) -> None:
@@ -308,7 +305,7 @@ class Teleoperation(Feature):
         if self._followings.get(follower.name) is not following:
             return
         del self._followings[follower.name]
-        if following.leader.name.startswith("/"):
+        if following.leader.is_topic:
             self._graph.unsubscribe(following.node, following.leader.name)
 
     # Messages.

@@ -22,6 +22,7 @@ from server.teaching.taught_motion import TaughtMotion
 from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.moveit import FORWARD, ROBOT
 from tests.helpers.stage import ARM_JOINTS, DEFAULTS, RigArm, ServerStage, inline_threads
+from tests.helpers.stage import REQUESTS as SHARED_REQUESTS
 
 pytestmark = pytest.mark.stepped_time
 
@@ -38,37 +39,23 @@ REACH = {"joint_names": list(ARM_JOINTS), "points": [{"positions": [0.8, 0.0, 0.
 SWING = TaughtMotion(ARM_JOINTS, np.arange(6) * 0.2, np.linspace(0.0, 0.9, 6)[:, np.newaxis] * np.eye(5)[0])
 
 
-def repeatedly(publish: Callable[[int], None], period_s: float = 0.02) -> None:
-    """Publish again and again, as a client that is no part of what it asks for."""
-
-    async def run() -> None:
-        for number in range(round(TRIAL_S / period_s)):
-            publish(number)
-            await asyncio.sleep(period_s)
-
-    Context().run(lambda: PUBLISHING.add(asyncio.ensure_future(run())))
-
-
 PUBLISHING: set[asyncio.Future[None]] = set()
-
-
-def jog(stage: ServerStage) -> None:
-    message = {"joint_names": ["shoulder_pan"], "velocities": [1.0], "displacements": [], "duration": 0.0}
-    repeatedly(lambda _: stage.publish("/servo_node/delta_joint_cmds", "control_msgs/JointJog", message))
 
 
 def follow(stage: ServerStage) -> None:
     """Follow a leader who waits for 2 s and then turns at 1 rad/s."""
     stage.call("/teleop/start", leader="/glove")
 
-    def lead(number: int) -> None:
-        at_s = number * 0.02
-        stamp = {"sec": 5 + int(at_s), "nanosec": round(at_s % 1.0 * 1e9)}
-        pan_rad = 0.1 + min(max(at_s - 2.0, 0.0), 1.2)
-        sample = {"header": {"stamp": stamp}, "name": ["shoulder_pan"], "position": [pan_rad]}
-        stage.publish("/glove", "sensor_msgs/JointState", sample)
+    async def lead() -> None:
+        for at_s in np.arange(0.0, TRIAL_S, 0.02).tolist():
+            stamp = {"sec": 5 + int(at_s), "nanosec": round(at_s % 1.0 * 1e9)}
+            pan_rad = 0.1 + min(max(at_s - 2.0, 0.0), 1.2)
+            sample = {"header": {"stamp": stamp}, "name": ["shoulder_pan"], "position": [pan_rad]}
+            stage.publish("/glove", "sensor_msgs/JointState", sample)
+            await asyncio.sleep(0.02)
 
-    repeatedly(lead)
+    # The leader is no part of the call.
+    Context().run(lambda: PUBLISHING.add(asyncio.ensure_future(lead())))
 
 
 def pose_goal(stage: ServerStage) -> None:
@@ -92,13 +79,10 @@ def trajectory(duration_s: int) -> dict[str, Any]:
     return {**REACH, "points": [{**REACH["points"][0], "time_from_start": {"sec": duration_s, "nanosec": 0}}]}
 
 
+SHARED = ("a named goal", "joints", "a called goal", "MoveGroup", "the gripper", "a jog", "parking")
 REQUESTS: dict[str, Callable[[ServerStage], None]] = {
-    "a named goal": lambda stage: stage.publish("/moveit_goal_named", "std_msgs/String", {"data": "ready"}),
-    "joints": lambda stage: stage.publish(
-        "/moveit_goal_joints", "sensor_msgs/JointState", {"name": ["shoulder_pan"], "position": [1.2]}
-    ),
+    **{name: SHARED_REQUESTS[name] for name in SHARED},
     "a pose": pose_goal,
-    "MoveGroup without a factor": move_group(0.0),
     "MoveGroup with the factor 0.3": move_group(0.3),
     "MoveGroup with the factor 1": move_group(1.0),
     "FollowJointTrajectory": lambda stage: stage.send(
@@ -107,13 +91,8 @@ REQUESTS: dict[str, Callable[[ServerStage], None]] = {
     "ExecuteTrajectory": lambda stage: stage.send(
         "/execute_trajectory", "moveit_msgs/action/ExecuteTrajectory", trajectory={"joint_trajectory": trajectory(1)}
     ),
-    "the gripper": lambda stage: stage.send(
-        "/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", command={"position": 1.2}
-    ),
-    "a jog": jog,
     "a following": follow,
     "a replay": lambda stage: stage.send("/replay_motion", "armbridge_msgs/action/ReplayMotion", name="swing"),
-    "parking": lambda stage: stage.call("/arm/park"),
 }
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from robot.calibration import save
 from robot.hardware.config import IdealConfig
-from server.arm.arms import JoinedBeat, joined_robot, read_arms
+from server.arm.arms import JoinedBeat, joined_robot, read_arms, without_prefix
 from server.arm.setup import Description
 from server.config import ArmSettings, Settings
 from server.errors import ConfigurationError
@@ -19,14 +19,14 @@ def settings(**arms: dict[str, Any]) -> Settings:
     return Settings.model_validate({"arms": arms})
 
 
-def test_ticks_mean_the_same_angles_below_a_name(tmp_path: Path) -> None:
+def test_below_a_name_an_arm_has_the_same_calibration_and_limits_and_without_it_the_plain_names(tmp_path: Path) -> None:
     save(nominal_calibration(), tmp_path / "left.json")
     arm = read_arms(settings(left={"calibration": str(tmp_path / "left.json")}))["left"]
-    assert arm.description.calibration is not None
-    for named, plain in zip(arm.description.calibration.joints, nominal_calibration().joints, strict=True):
-        assert named.rad_from_ticks(1000) == plain.rad_from_ticks(1000)
-    plain_robot = Description.read(ArmSettings(calibration=tmp_path / "left.json")).robot
-    for joint in plain_robot.movable_joints:
+    plain = Description.read(ArmSettings(calibration=tmp_path / "left.json"))
+    for prefix, calibration in (("left_", arm.description.calibration), ("", plain.calibration)):
+        assert calibration is not None
+        assert without_prefix(calibration, prefix) == nominal_calibration()
+    for joint in plain.robot.movable_joints:
         limits = arm.config.robot.joints[f"left_{joint.name}"]
         assert (limits.lower, limits.upper) == (joint.lower, joint.upper)
 

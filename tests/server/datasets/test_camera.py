@@ -97,7 +97,7 @@ def test_a_video_file_is_read_to_its_end_and_a_device_that_cannot_be_opened_is_s
     pytest.importorskip("av", reason="the extra [datasets] is not installed: no av")
     from server.datasets.lerobot import VideoWriter
 
-    path = tmp_path / "folder" / "v.mp4"
+    path = tmp_path / "v.mp4"
     with VideoWriter(path, 10) as writer:
         for red in (50, 200):
             image = np.zeros((48, 64, 3), dtype=np.uint8)

@@ -4,15 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from robot.calibration import save
-from server.arm.arms import read_arms, with_prefix, without_prefix
+from server.arm.arms import read_arms
 from server.arm.calibrating import Recalibrated
 from server.arm.commissioning import Ended
-from server.arm.setup import Description
-from server.config import ArmSettings, Settings
+from server.config import Settings
 from server.features.arms import resumed, with_calibration
 from tests.helpers.graph import answered
-from tests.helpers.robots import nominal_calibration
 from tests.helpers.rules import server_rules, started
 
 
@@ -61,11 +58,3 @@ def test_a_new_calibration_is_that_of_its_arm_alone(tmp_path: Path) -> None:
     after = resumed(arms, recalibrated)
     assert after["left"].config.hardware == arms["left"].config.hardware.resumed(position_rad, driven=False)
     assert after["right"] is arms["right"]
-
-
-def test_a_calibration_without_its_prefix_has_the_names_of_an_arm_alone(tmp_path: Path) -> None:
-    save(nominal_calibration(), tmp_path / "plain.json")
-    plain = Description.read(ArmSettings(calibration=tmp_path / "plain.json"))
-    for prefix, description in (("", plain), ("left_", with_prefix(plain, "left"))):
-        assert description.calibration is not None
-        assert without_prefix(description.calibration, prefix) == nominal_calibration()

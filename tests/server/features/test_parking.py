@@ -9,6 +9,7 @@ from typing import Any, cast
 import pytest
 
 from planners.goals import JointGoal
+from planners.interface import Planners
 from planners.problem import (
     ConcurrencyQuestion,
     MoveItErrorCode,
@@ -18,26 +19,24 @@ from planners.problem import (
     RecheckAnswer,
     Request,
 )
-from planners.scene import EMPTY_SCENE, Scene
+from planners.scene import Scene
 from robot.arm_group import ArmGroup
 from robot.description.joined import prefixed
+from robot.description.model import RobotModel
+from robot.description.servo_table import HardwareTable
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, Mode, Order, ParkingPlan
-from server.config import ArmSettings
+from server.arm.arms import ServedArm
+from server.arm.setup import Description
+from server.config import ArmSettings, Settings
 from server.errors import ConfigurationError
 from server.execution.goal import Goal, GoalRequest, GoalState, Progress
-from server.execution.monitors import CurrentState
-from server.execution.queue import GoalListener
-from server.features.context import ArmContext, ServerContext
+from server.features.context import context_of
 from server.features.parking import CHECK_S, ArmParking, LastClient, Parkings, rest_pose
-from server.graph.local_graph import LocalGraph
 from server.graph.topics import Graph
-from server.moveit.parameters import MoveItParameters, PlannerParameters
-from server.moveit.requests.planning_problems import ProblemBuilder
-from server.moveit.scene.frames import Frames
-from server.moveit.scene.scene_state import SceneState
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
 from tests.helpers.messages import REGISTRY
 from tests.helpers.motions import smooth_move
+from tests.helpers.moveit import box, diff
 from tests.server.teleop.test_latency import ROBOT_PAIR, SIDES
 
 pytestmark = pytest.mark.stepped_time
@@ -73,6 +72,10 @@ class KeepingArm(FakeArm):
         return timeout_s > 0.0
 
 
+def described(robot: RobotModel) -> Description:
+    return Description("", robot, HardwareTable(), None)
+
+
 class World:
     """Arms, a scene, planners and a queue as the keeper sees them.
 
@@ -81,54 +84,26 @@ class World:
     """
 
     def __init__(self, sides: Sequence[str] = ("",), **settings: Any) -> None:
-        self.robot = ROBOT_PAIR if len(sides) > 1 else ROBOT
         self.arms = [KeepingArm(side) for side in sides]
         self.arm = self.arms[0]
-        self.scene: Scene = EMPTY_SCENE
         self.meets, self.idle_count = False, 1
-        self.busy = lambda: ""
         self.duration_s = 2.0
         self.failure: PlanningFailure | None = None
         self.asked: list[Request] = []
         self.while_planning: Callable[[], None] = lambda: None
-        self._changes: list[Callable[[], None]] = []
+        own = ArmSettings.model_validate({"on_server_lost": "park", **settings})
+        each = [
+            ServedArm(arm.name, own, described(prefixed(ROBOT, arm.name) if arm.name else ROBOT), arm.as_arm)
+            for arm in self.arms
+        ]
         group = ArmGroup({arm.name: (arm.as_arm, arm.state.joint_names) for arm in self.arms})
-        whole = self.arm.as_arm if len(sides) == 1 else group
-        frames = Frames(self.robot, SceneState(self.robot))
-        self.planning = SimpleNamespace(
-            problems=ProblemBuilder(self.robot, frames, PlannerParameters(MoveItParameters())),
-            pool=self,
-            scene_state=self,
-            current=CurrentState(whole, self.robot),
-        )
-        self.listeners: list[GoalListener] = []
-        self.goals = SimpleNamespace(queue=self)
-        self.access = SimpleNamespace(drivers=set())
-        graph = Graph(REGISTRY)
-        self.whole = SimpleNamespace(served=SimpleNamespace(arm=whole), graph=LocalGraph(graph))
-        arm_settings = ArmSettings.model_validate({"on_server_lost": "park", **settings})
-        self.single_arms = [(self._context(arm.name, graph, arm_settings), arm.as_arm) for arm in self.arms]
-        self.parkings = Parkings(cast("ServerContext", self))
-
-    def _context(self, name: str, graph: Graph, settings: ArmSettings) -> ArmContext:
-        context = SimpleNamespace(
-            name=name,
-            robot=prefixed(ROBOT, name) if name else ROBOT,
-            served=SimpleNamespace(leads=False, settings=settings),
-            parameters=MoveItParameters(),
-            planning=self.planning,
-            goals=self.goals,
-            graph=LocalGraph(graph, name),
-        )
-        return cast("ArmContext", context)
-
-    def on_change(self, callback: Callable[[], None]) -> None:
-        self._changes.append(callback)
+        whole = each[0] if len(sides) == 1 else ServedArm("", ArmSettings(), described(ROBOT_PAIR), group)
+        self.context = context_of(Settings(), Graph(REGISTRY), (whole, each), cast("Planners", self))
+        self.parkings = Parkings(self.context)
 
     def change_scene(self) -> None:
-        self.scene = replace(self.scene, version=self.scene.version + 1)
-        for listener in self._changes:
-            listener()
+        added = {"collision_objects": [box(f"box {len(self.asked)}")]}
+        self.context.planning.scene_state.apply_diff(diff(world=added), {})
 
     async def ask(self, request: Request, _scene: Scene) -> Plan | PlanningFailure | RecheckAnswer:
         self.asked.append(request)
@@ -257,7 +232,7 @@ def left_is_elsewhere(two_arms: World) -> None:
 
 
 def a_goal_begins(two_arms: World) -> None:
-    (listener,) = two_arms.goals.queue.listeners
+    listener = two_arms.context.goals.queue.listeners[-1]
     listener.on_progress(Goal("1", GoalRequest("/goal")), Progress(GoalState.EXECUTING, "moves"))
 
 

@@ -6,7 +6,6 @@ Server, supervisor and controller are the real ones, in stepped time; the joints
 import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
-from contextvars import Context
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from server.graph.node import Node
 from server.graph.topics import Subscriber
 from server.recording.files import RecordedMessage
 from tests.helpers.arm_rig import NAMES
-from tests.helpers.stage import DEFAULTS, RigArm, inline_threads
+from tests.helpers.stage import RecordedStage, inline_threads
 from tests.server.recordings import REGISTRY, START_NS, entry, record
 
 pytestmark = pytest.mark.stepped_time
@@ -32,44 +31,28 @@ SETTLED_S = 1.5
 LAG_S = 0.1
 
 
-class Led:
-    """An arm that follows a topic.
-
-    Attributes:
-        goals_rad: goals of the gripper, one each tick [rad].
-    """
-
-    def __init__(self) -> None:
-        self.arm = RigArm(DEFAULTS)
-        self.goals_rad: list[float] = []
+class Led(RecordedStage):
+    """An arm that follows a topic."""
 
     async def lead(self, seconds: float, gripper_rad: Callable[[float], float]) -> float:
-        """Lead by 50 samples a second, and note the goals meanwhile; returns the last one."""
+        """Lead by 50 samples a second; returns the last goal of the gripper [rad]."""
         loop = asyncio.get_running_loop()
         began_s = loop.time()
         while (at_s := loop.time() - began_s) < seconds:
             stamp = {"sec": 5 + math.floor(at_s), "nanosec": round(at_s % 1.0 * 1e9)}
             position = [0.1, 0.0, 0.0, 0.0, 0.0, gripper_rad(at_s)]
             sample = {"header": {"stamp": stamp}, "name": list(NAMES), "position": position}
-            Context().run(self.arm.stage.publish, "/glove", "sensor_msgs/JointState", sample)
-            for _ in range(2):
-                await asyncio.sleep(PERIOD_S)
-                controller = self.arm.rig.supervisor._controller
-                assert controller is not None
-                self.goals_rad.append(float(controller.goal_rad[GRIPPER]))
-        return self.goals_rad[-1]
+            self.publish_now("/glove", "sensor_msgs/JointState", sample)
+            await asyncio.sleep(2.0 * PERIOD_S)
+        return float(self.goals_rad[-1][GRIPPER])
 
 
 @pytest.fixture
 async def led(monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Led]:
     inline_threads(monkeypatch)
-    made = Led()
-    running = asyncio.create_task(made.arm.run())
-    await asyncio.sleep(0.1)
-    made.arm.stage.call("/teleop/start", leader="/glove")
-    yield made
-    await made.arm.stage.close()
-    running.cancel()
+    async for made in Led().run():
+        made.stage.call("/teleop/start", leader="/glove")
+        yield made
 
 
 def opening(at_s: float) -> float:
@@ -80,7 +63,7 @@ def opening(at_s: float) -> float:
 async def test_the_gripper_follows_within_a_tenth_of_a_second(led: Led) -> None:
     await led.lead(4.0, opening)
     first = round(SETTLED_S / PERIOD_S)
-    goals = np.array(led.goals_rad)[first:]
+    goals = np.array(led.goals_rad)[first:, GRIPPER]
     at_s = (np.arange(len(goals)) + first + 1) * PERIOD_S
     behind = np.abs(goals - np.array([opening(each) for each in at_s]))
     # At its fastest the leader goes this far in the time.
@@ -100,7 +83,7 @@ async def test_a_dataset_has_the_gripper_within_a_tenth_of_a_second_of_its_actio
         recorded.append(entry(published.topic, "sensor_msgs/JointState", message, loop.time() - began_s))
 
     for topic in (STATE_TOPIC, LEADER_TOPIC):
-        led.arm.stage.graph.subscribe(Node("recorder"), topic, "sensor_msgs/JointState", Subscriber(take))
+        led.stage.graph.subscribe(Node("recorder"), topic, "sensor_msgs/JointState", Subscriber(take))
     await led.lead(SETTLED_S + 4.0, opening)
     recording = record(tmp_path / "run.mcap", [each for each in recorded if each.log_time_ns > START_NS + 1.5e9])
     done = export(ExportOptions([recording], tmp_path / "data", fps=50), REGISTRY, lambda _text: None)
@@ -114,13 +97,13 @@ async def test_a_dataset_has_the_gripper_within_a_tenth_of_a_second_of_its_actio
 async def test_a_gripper_that_another_client_moved_follows_when_the_leader_moves_on(led: Led) -> None:
     assert await led.lead(2.0, lambda _at_s: 0.5) == pytest.approx(0.5, abs=0.01)
     command = {"position": 1.0}
-    led.arm.stage.send("/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", command=command)
+    led.stage.send("/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand", command=command)
     assert await led.lead(2.0, lambda _at_s: 0.5) == pytest.approx(1.0, abs=0.01)
     assert await led.lead(1.0, lambda _at_s: 0.6) == pytest.approx(0.6, abs=0.01)
 
 
 async def test_a_stop_stops_the_gripper(led: Led) -> None:
     await led.lead(2.0, lambda at_s: 0.2 + 0.2 * at_s)
-    led.arm.stage.call("/arm/stop")
+    led.stage.call("/arm/stop")
     held_rad = await led.lead(0.3, lambda at_s: 0.6 + 0.2 * at_s)
     assert await led.lead(1.0, lambda at_s: 0.66 + 0.2 * at_s) == held_rad

@@ -10,7 +10,7 @@ from robot import logs
 from robot.messages import ArmState, Mode
 from server import cli
 from server.publishing_client import PublishedTopic
-from server.teleop.leader_client import IN_FLIGHT, LeaderClient, NewestSample
+from server.teleop.leader_client import IN_FLIGHT, LeaderClient
 from tests.helpers.held_connection import HeldConnection
 
 TOPIC = "/leader/joint_states"
@@ -25,13 +25,12 @@ class Publishing:
     """A client that publishes the samples that a test shows, on a connection whose pongs the test gives."""
 
     def __init__(self) -> None:
-        self.server, self.samples = HeldConnection(), NewestSample()
-        topic = PublishedTopic("ws://nowhere", TOPIC, "secret-of-sixteen")
-        self.client = LeaderClient(topic, self.samples, lambda _sentence: None)
+        self.server, self.told = HeldConnection(), list[str]()
+        self.client = LeaderClient(PublishedTopic("ws://nowhere", TOPIC, "secret-of-sixteen"), self.told.append)
 
     async def show(self, *states: ArmState) -> None:
         for state in states:
-            self.samples.put(state)
+            self.client.take_state(state)
             for _ in range(5):
                 await asyncio.sleep(0)
 
@@ -51,8 +50,8 @@ async def publishing() -> AsyncIterator[Publishing]:
 
 
 async def test_it_shows_its_token_and_advertises_before_the_first_sample(publishing: Publishing) -> None:
-    await publishing.show(ArmState(1.0, Mode.DISCONNECTED, ("elbow_flex",)))
-    assert publishing.positions == [], "of an arm that is not read"
+    await publishing.show(*2 * [ArmState(1.0, Mode.DISCONNECTED, ("elbow_flex",), reason="unplugged")])
+    assert (publishing.positions, publishing.told) == ([], ["the arm: unplugged"]), "of an arm that is not read"
     await publishing.show(reading(0.5))
     assert [each["op"] for each in publishing.server.sent] == ["auth", "advertise", "publish"]
     assert publishing.server.sent[-1]["msg"]["name"] == ["elbow_flex"]

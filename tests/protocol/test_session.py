@@ -132,9 +132,10 @@ def test_an_operation_leaves_at_once_unless_another_waits_or_the_socket_is_full(
     session, left = subscribed(), []
 
     def send(text, send_at_once):
+        session._send_at_once = send_at_once
         if kind == "deliver":
-            return session.deliver(message(text), 1.0, send_at_once)
-        return getattr(session, kind)({"op": "x", "msg": {"data": text}}, send_at_once)
+            return session.deliver(message(text), 1.0)
+        return getattr(session, kind)({"op": "x", "msg": {"data": text}})
 
     # A call is accepted either way; the others tell what is queued.
     for text in ("first", "second"):
@@ -148,7 +149,8 @@ def test_an_operation_leaves_at_once_unless_another_waits_or_the_socket_is_full(
 
 def test_a_message_that_its_throttle_lets_through_leaves_at_once_and_the_next_waits():
     session, left = subscribed(throttle_rate=1000, queue_length=1), []
-    queued = [session.deliver(message(str(now)), now, lambda one: left.append(one) or True) for now in (1.0, 1.5, 1.9)]
+    session._send_at_once = lambda one: left.append(one) or True
+    queued = [session.deliver(message(str(now)), now) for now in (1.0, 1.5, 1.9)]
     assert queued == [False, True, True]
     assert [json.loads(encoded.frames[0].data)["msg"]["data"] for encoded in left] == ["1.0"]
     assert sent(session, 1.9) == []

@@ -180,12 +180,11 @@ class SendQueue:
             self._drop(self._waiting[subscription][0])
         self._drop_late(subscription, now)
         # Behind messages that are bulky, or wait for a throttle that is gone, others wait too: they keep their order.
-        lane_before = self._waiting[subscription][-1].lane if subscription in self._waiting else self._free
-        if subscription.paced or lane_before is self._paced:
+        lane = self._waiting[subscription][-1].lane if subscription in self._waiting else self._free
+        if subscription.paced:
             lane = self._paced
-        else:
-            is_bulky = encoded.size_bytes >= BULKY_BYTES and not in_order
-            lane = self._bulky if is_bulky else lane_before
+        elif lane is self._free and encoded.size_bytes >= BULKY_BYTES and not in_order:
+            lane = self._bulky
         waiting = _TopicData(
             next(self._sequence), encoded, encoded.size_bytes, "topic data", lane, subscription, queued_s=now
         )

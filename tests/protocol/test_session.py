@@ -58,16 +58,6 @@ def test_a_refusal_carries_the_id_and_name_of_what_was_called_if_they_can_be_sen
             assert refusal.called == (name if named else ""), characters
 
 
-def test_a_client_gets_the_statuses_of_its_level_and_above():
-    session = Session()
-    for level in ("none", "error", "warning", "info"):
-        session.status_level = level
-        for told in ("error", "warning", "info"):
-            session.status(told, level, None)
-    levels = [status["level"] for status in sent(session)]
-    assert levels == ["error", "error", "warning", "error", "warning", "info"]
-
-
 def test_a_message_is_taken_up_to_the_limit_in_bytes_and_not_beyond():
     frame = '{"op":"publish","topic":"/ä"}'
     size_bytes = len(frame.encode())

@@ -273,10 +273,11 @@ class SendQueue:
         """Go over all that may leave, in order; nothing may be taken out meanwhile."""
         lanes: list[Iterable[_Waiting]] = [lane.values() for lane in (self._replies, self._free) if lane]
         for subscription in self._throttled():
-            waiting = self._waiting[subscription]
-            due = itertools.islice(waiting, subscription.due_count(len(waiting), now))
-            # Those that have waited since before the subscription had its throttle are free.
-            lanes.append(each for each in due if each.lane is self._paced)
+            if now >= subscription.due_s:
+                # One by one; all of them where the throttle is gone.
+                due = itertools.islice(self._waiting[subscription], 1 if subscription.paced else None)
+                # Those that have waited since before the subscription had its throttle are free.
+                lanes.append(each for each in due if each.lane is self._paced)
         if self._bulky:
             oldest = next(iter(self._bulky.values()))
             if oldest.queued_s >= now - BEHIND_S:

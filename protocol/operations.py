@@ -125,11 +125,11 @@ class Unadvertise(Operation):
 
 
 class Publish(Operation):
-    """Publish one message; ``type`` and ``queue_size`` have no effect."""
+    """Publish one message, whatever it is: the topic knows its type; ``type`` and ``queue_size`` have no effect."""
 
     op: Literal["publish"] = "publish"
     topic: Name
-    msg: JsonObject = Field(default_factory=dict)
+    msg: Anything = Field(default_factory=dict)
     type: OptionalName = None
     latch: Truth = False
     queue_size: Anything = None

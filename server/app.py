@@ -15,7 +15,7 @@ from robot.arm import CLOSE_LIMIT_S
 from robot.arm_group import moves
 from robot.messages import Mode
 from robot.processes import StartedChild
-from server.arm.arms import Arms, ServedArm, StateFeed, read_arms
+from server.arm.arms import Arms, ServedArm, read_arms
 from server.arm.calibrating import Recalibrated
 from server.arm.setup import Description, check_parameters
 from server.config import Settings, SimulationSettings
@@ -122,8 +122,7 @@ class App:
             relay_unknown_types=settings.server.relay_unknown_types,
             unregister_timeout_s=settings.server.unregister_timeout_s,
         )
-        feed = StateFeed(self.graph)
-        self._arms = Arms(files, feed, arm_process)
+        self._arms = Arms(files, self.graph, arm_process)
         robot = self._arms.whole.robot
         check_parameters(settings.moveit, robot)
         self._pool: Planners = (
@@ -155,7 +154,7 @@ class App:
         made = (MoveGroup, ArmGoals, teaching_of, GoalQueueing, Servo, teleoperation_of, PolicyChunks)
         goals = [make(context) for make in made]
         self.features = self._in_order_of_start(commissioning, parkings, Together("goals", goals, 1.1))
-        feed.connect([each for each in (*self.features, *goals) if isinstance(each, Feature)])
+        self._arms.connect([each for each in (*self.features, *goals) if isinstance(each, Feature)])
 
     def _in_order_of_start(
         self, commissioning: CommissioningOfArms, parkings: Parkings, goals: Together

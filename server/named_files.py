@@ -5,6 +5,7 @@ import json
 import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -133,14 +134,14 @@ class NamedFiles:
             raise ValueError(f"{len(others)} {self._kind}s are saved already, the limit is {self._max_files}")
 
 
+@dataclass(frozen=True)
 class FileSeries:
     """Directory of files; the oldest make room for new ones. Names must sort by age between prefix and suffix."""
 
-    def __init__(self, directory: Path, prefix: str, suffix: str, max_files: int) -> None:
-        self._directory = directory
-        self._prefix = prefix
-        self._suffix = suffix
-        self._max_files = max_files
+    directory: Path
+    prefix: str
+    suffix: str
+    max_files: int
 
     def add(self, name: str, content: Callable[[str], bytes]) -> Path:
         """Write a file; a crash, and an OSError, leave all of it or nothing.
@@ -149,20 +150,20 @@ class FileSeries:
         the name of the file without its suffix.
         """
         # A file of this name in the directory stands for its lock.
-        with files.locked(self._directory / self._prefix.rstrip("-")):
-            path, number = self._directory / f"{self._prefix}{name}{self._suffix}", 0
+        with files.locked(self.directory / self.prefix.rstrip("-")):
+            path, number = self.directory / f"{self.prefix}{name}{self.suffix}", 0
             while path.exists():
                 number += 1
-                path = self._directory / f"{self._prefix}{name}-{number}{self._suffix}"
+                path = self.directory / f"{self.prefix}{name}-{number}{self.suffix}"
             files.replace(path, content(path.stem))
             # The new one stays also where its name is not the last: the clock that names it may be set back.
             others = [each for each in self.paths() if each != path]
-            for oldest in others[: max(len(others) + 1 - self._max_files, 0)]:
+            for oldest in others[: max(len(others) + 1 - self.max_files, 0)]:
                 oldest.unlink(missing_ok=True)
         return path
 
     def paths(self) -> list[Path]:
-        return sorted(self._directory.glob(f"{self._prefix}*{self._suffix}"))
+        return sorted(self.directory.glob(f"{self.prefix}*{self.suffix}"))
 
 
 def set_aside(path: Path) -> Path:

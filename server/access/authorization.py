@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Literal
 
 from protocol.operations import (
     Advertise,
@@ -88,7 +88,7 @@ def is_stop(operation: Operation, graph: Graph) -> bool:
     match operation:
         case Publish():
             rule = graph.rules.get(qualify(operation.topic), WORKING)
-            return rule.at_once and rule.at_once_data in (None, operation.msg.get("data"))
+            return rule.at_once and rule.at_once_data in (None, _value_at(operation.msg, ("data",)))
         case CallService():
             return rule_of_service(_name_of(operation.service), graph).at_once
         case _:
@@ -114,10 +114,14 @@ def _name_of(service: str) -> str:
 
 def plans_only(rule: Rule, goal: object) -> bool:
     """Return True for a goal, as its client spelled it, that asks for a plan and for no motion."""
-    value = goal
-    for field in rule.plan_only:
-        value = value.get(field) if isinstance(value, Mapping) else None
-    return bool(rule.plan_only) and value is True
+    return bool(rule.plan_only) and _value_at(goal, rule.plan_only) is True
+
+
+def _value_at(message: object, path: tuple[str, ...]) -> object:
+    """Return the value of a field of a message, as its client spelled it; None where there is none."""
+    for field in path:
+        message = message.get(field) if isinstance(message, Mapping) else None
+    return message
 
 
 class Authorizer:
@@ -173,7 +177,7 @@ class Authorizer:
         self._access.drivers.discard(self._node)
         self._access.give_back(self._node)
 
-    def publishing(self, topic: str, message: Mapping[str, Any]) -> str | None:
+    def publishing(self, topic: str, message: object) -> str | None:
         """Check a message on a topic, as :meth:`refusal`."""
         name = qualify(topic)
         rule = self._rule_of_publishing(name)
@@ -184,7 +188,7 @@ class Authorizer:
         settled = refusal is None and not rule.drives and not rule.stops
         if settled and len(self._settled) < MAX_SETTLED:
             self._settled.add(topic)
-        return refusal or self._drive(rule, name, message.get("goal"))
+        return refusal or self._drive(rule, name, _value_at(message, ("goal",)))
 
     def calling(self, service: str, arguments: object) -> str | None:
         """Check a call of a service with its request, as :meth:`refusal`."""

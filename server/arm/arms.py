@@ -117,30 +117,6 @@ def joined_robot(arms: Mapping[str, ArmFiles]) -> RobotModel:
         raise ConfigurationError(f"arms: {error}") from error
 
 
-class StateFeed:
-    """Way of the arms' states to the features, which are made after the arms."""
-
-    def __init__(self, graph: Graph) -> None:
-        self._graph = graph
-        self._features: tuple[Feature, ...] = ()
-
-    def connect(self, features: Sequence[Feature]) -> None:
-        """Have the features take the states from now on, in their order."""
-        self._features = tuple(features)
-
-    def observed(self) -> bool:
-        """Return False when nobody sees the states at the moment."""
-        return states_are_observed(self._graph) or any(feature.observes_states for feature in self._features)
-
-    def take_state(self, arm: str, state: ArmState) -> None:
-        for feature in self._features:
-            feature.on_state(arm, state)
-
-    def take_health(self, arm: str, health: ArmHealth) -> None:
-        for feature in self._features:
-            feature.on_health(arm, health)
-
-
 @dataclass(frozen=True)
 class ServedArm:
     """An arm by its name among several, or all arms together; the name of an only arm is empty."""
@@ -197,10 +173,11 @@ class JoinedBeat:
 
 
 class Arms:
-    """All arms of a server; several have a joint state together at the rate of one arm."""
+    """All arms of a server, whose states go to its features; several have one together at the rate of one arm."""
 
-    def __init__(self, files: Mapping[str, ArmFiles], feed: StateFeed, arm_process: StartedChild | None = None) -> None:
-        self._feed = feed
+    def __init__(self, files: Mapping[str, ArmFiles], graph: Graph, arm_process: StartedChild | None = None) -> None:
+        self._graph = graph
+        self._features: tuple[Feature, ...] = ()
         arms = {name: self._made(name, each, arm_process) for name, each in files.items()}
         self.each = tuple(
             ServedArm(name, each.settings, each.description, arms[name], each.leads) for name, each in files.items()
@@ -219,21 +196,30 @@ class Arms:
 
     def _made(self, name: str, files: ArmFiles, arm_process: StartedChild | None) -> Arm:
         on_state, on_health = functools.partial(self._take_state, name), functools.partial(self._take_health, name)
-        return Arm(files.config, on_state, on_health, arm_process, observed=self._feed.observed, name=name)
+        return Arm(files.config, on_state, on_health, arm_process, observed=self._observed, name=name)
+
+    def connect(self, features: Sequence[Feature]) -> None:
+        """Have the features, which are made after the arms, take the states from now on, in their order."""
+        self._features = tuple(features)
+
+    def _observed(self) -> bool:
+        """Return False when nobody sees the states at the moment."""
+        return states_are_observed(self._graph) or any(feature.observes_states for feature in self._features)
 
     def _take_state(self, name: str, state: ArmState) -> None:
-        self._feed.take_state(name, state)
+        for feature in self._features:
+            feature.on_state(name, state)
         if name and self._beat.takes(name, time.monotonic()):
-            self._feed.take_state("", self.whole.arm.state)
+            self._take_state("", self.whole.arm.state)
 
     def _take_health(self, name: str, health: ArmHealth) -> None:
         """Pass the report on, and the report of all arms with the first arm's, which comes once a second."""
-        self._feed.take_health(name, health)
-        if not name:
-            return
-        self._health[name] = health
-        if len(self._health) == len(self.each) and name == self.each[0].name:
-            self._feed.take_health("", joined_health(self._health))
+        for feature in self._features:
+            feature.on_health(name, health)
+        if name:
+            self._health[name] = health
+            if len(self._health) == len(self.each) and name == self.each[0].name:
+                self._take_health("", joined_health(self._health))
 
 
 def read_now(arm: AnyArm, state: ArmState) -> ArmState:

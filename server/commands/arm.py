@@ -40,8 +40,8 @@ from server.commands.options import (
     add_robot,
     add_serial,
     add_token_file,
+    load_calibration,
     open_bus,
-    read_calibration,
     read_hardware,
     read_token,
 )
@@ -137,9 +137,10 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
 def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     if options.cycles < 1:
         raise ConfigurationError(f"--cycles must be at least 1, not {options.cycles}")
-    calibration, servos = read_calibration(options), read_hardware(options).servos
+    hardware, name = read_hardware(options), options.calibration
+    calibration = None if name is None else load_calibration(name, hardware)
     with contextlib.closing(open_bus(options)) as bus:
-        _, findings = examine_bus(bus, servos, calibration, options.cycles, terminal)
+        _, findings = examine_bus(bus, hardware.servos, calibration, options.cycles, terminal)
     terminal.tell(as_json(findings) if options.json else _as_text(findings))
     problems = any(finding.verdict is Verdict.PROBLEM for finding in findings)
     return ExitCode.PROBLEMS if problems else ExitCode.DONE

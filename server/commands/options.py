@@ -30,7 +30,6 @@ SERIAL_HELP = (
     "the servos' port: a path such as /dev/serial/by-id/..., a USB id such as 1a86:55d3, a URL such as "
     "socket://host:port, or auto for the one adapter plugged in"
 )
-CALIBRATION_HELP = "the arm's calibration: a file, or the arm's id in lerobot's calibration directory"
 
 DEFAULT_URL = "ws://127.0.0.1:9090"
 
@@ -107,7 +106,8 @@ def add_serial(parser: argparse.ArgumentParser) -> None:
 
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+    text = "the arm's calibration: a file, or the arm's id in lerobot's calibration directory"
+    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=text)
 
 
 def add_interfaces(parser: argparse.ArgumentParser) -> None:
@@ -149,10 +149,6 @@ def read_hardware(options: argparse.Namespace, kinds: Collection[str] = ("feetec
 
 def open_bus(options: argparse.Namespace) -> Bus:
     return Bus.open(resolve_port(options.serial))
-
-
-def read_calibration(options: argparse.Namespace) -> Calibration | None:
-    return None if options.calibration is None else load_calibration(options.calibration, read_hardware(options))
 
 
 def load_calibration(name: str, hardware: HardwareTable) -> Calibration:

@@ -8,9 +8,9 @@ from typing import Any
 
 from robot import logs
 from server.commands.options import (
-    CALIBRATION_HELP,
     SERIAL_HELP,
     Subparsers,
+    add_calibration,
     add_command,
     add_connect,
     add_number,
@@ -82,7 +82,8 @@ def add_camera_parser(subparsers: Subparsers) -> None:
 
 def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.datasets.camera import CameraOptions, open_source, publish_camera
+    from server.datasets.camera import CameraClient, CameraOptions, open_source
+    from server.lifecycle import run_until_signal
     from server.publishing_client import PublishedTopic
 
     if options.device == RENDERED:
@@ -90,8 +91,9 @@ def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     target = PublishedTopic(options.connect, options.topic, read_token(options))
     chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
     source = open_source(options.device, options.width)
-    count, by_signal = asyncio.run(publish_camera(target, chosen, source, terminal.say))
-    terminal.tell(f"{count} images published on {options.topic}")
+    client = CameraClient(target, chosen, source, terminal.say)
+    by_signal = asyncio.run(run_until_signal(client.run()))
+    terminal.tell(f"{client.published} images published on {options.topic}")
     if by_signal or source.finite:
         return ExitCode.DONE
     terminal.say(f"armbridge: the camera {options.device} gives no more images; is it plugged in?")
@@ -138,7 +140,7 @@ def add_leader_parser(subparsers: Subparsers) -> None:
     add_connect(parser)
     parser.add_argument("--serial", metavar="PORT", help=f"{SERIAL_HELP} (an emulated arm)")
     add_robot(parser, None)
-    parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=CALIBRATION_HELP)
+    add_calibration(parser)
     parser.add_argument("--topic", default=LEADER_TOPIC, help=f"of the joints ({LEADER_TOPIC})")
     add_number(parser, "--rate", "HZ", (1, MAX_RATE_HZ), DEFAULT_RATE_HZ, f"samples a second ({DEFAULT_RATE_HZ})")
     parser.add_argument(

@@ -7,10 +7,11 @@ import importlib
 import io
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,6 @@ from PIL import Image
 from websockets.asyncio.client import ClientConnection
 
 from server.errors import ServerError
-from server.lifecycle import run_until_signal
 from server.publishing_client import PublishedTopic, PublishingClient
 from server.timers import call_in_loop
 
@@ -45,32 +45,24 @@ class CameraError(ServerError):
     """A camera that cannot be used; the text is one sentence."""
 
 
-class Captured(NamedTuple):
-    """Image of a camera, red, green and blue of shape (height, width, 3)."""
-
-    stamp_ns: int
-    pixels: Pixels
-
-
-class ImageSource(Protocol):
+class ImageSource(ABC):
     """Source of images, ``paced`` if it gives them at its own rate, ``finite`` if it ends of itself."""
 
-    paced: bool
-    finite: bool
+    paced = False
+    finite = False
 
+    @abstractmethod
     def read(self) -> Pixels | None:
         """Return the next image, shape (height, width, 3); None after the last one."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - not every source has a device
         """Give the device back."""
 
 
-class TestPattern:
+class TestPattern(ImageSource):
     """Colour bars with a white square that moves."""
 
     __test__ = False
-    paced = False
-    finite = False
 
     def __init__(self, width: int | None = None) -> None:
         self._width = width or TEST_WIDTH
@@ -88,11 +80,8 @@ class TestPattern:
         self._number += 1
         return image
 
-    def close(self) -> None:
-        """Do nothing."""
 
-
-class OpenCvSource:
+class OpenCvSource(ImageSource):
     """Camera or video file that OpenCV reads, or CameraError."""
 
     def __init__(self, device: str, width: int | None) -> None:
@@ -160,7 +149,7 @@ class NewestImage:
         self._period_s = period_s
         self._arrived = arrived
         self._wall_clock_ns = wall_clock_ns
-        self._newest: Captured | None = None
+        self._newest: tuple[int, Pixels] | None = None
         self._ending = threading.Event()
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
@@ -173,8 +162,8 @@ class NewestImage:
     def start(self) -> None:
         self._thread.start()
 
-    def take(self) -> Captured | None:
-        """Return the newest image, once; None while there is no new one."""
+    def take(self) -> tuple[int, Pixels] | None:
+        """Return stamp [ns] and pixels of the newest image, once; None while there is no new one."""
         newest, self._newest = self._newest, None
         return newest
 
@@ -187,7 +176,7 @@ class NewestImage:
         due_s = time.monotonic()
         try:
             while not self._ending.is_set() and (pixels := self._source.read()) is not None:
-                self._newest = Captured(self._wall_clock_ns(), pixels)
+                self._newest = self._wall_clock_ns(), pixels
                 self.captured += 1
                 self._arrived()
                 if not self._source.paced:
@@ -227,8 +216,8 @@ class CameraClient(PublishingClient):
         super().__init__(target, {target.topic: IMAGE_TYPE}, tell)
         self._options = options
         self._arrived = asyncio.Event()
-        loop = asyncio.get_running_loop()
-        self.images = NewestImage(source, 1.0 / options.fps, lambda: call_in_loop(loop, self._arrived.set))
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self.images = NewestImage(source, 1.0 / options.fps, self._note_image)
 
     @property
     def ended(self) -> bool:
@@ -237,6 +226,7 @@ class CameraClient(PublishingClient):
 
     async def run(self) -> None:
         """Publish the images of the camera; comes back when they end."""
+        self._loop = asyncio.get_running_loop()
         self.images.start()
         try:
             await self.keep_connected()
@@ -251,8 +241,8 @@ class CameraClient(PublishingClient):
             await asyncio.sleep(due_s - loop.time())
             self._arrived.clear()
             # In this order: the last image comes before the end.
-            ended, captured = self.ended, self.images.take()
-            if captured is None:
+            ended, newest = self.ended, self.images.take()
+            if newest is None:
                 if ended:
                     return
                 # Not wait_for: Python 3.11's loses a cancellation that comes together with what it waits for.
@@ -261,26 +251,16 @@ class CameraClient(PublishingClient):
                         await self._arrived.wait()
                 continue
             due_s = max(due_s + 1.0 / options.fps, loop.time())
-            jpeg = await asyncio.to_thread(to_jpeg, captured.pixels, options.width, options.quality)
+            stamp_ns, pixels = newest
+            sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+            header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": options.frame_id}
+            jpeg = await asyncio.to_thread(to_jpeg, pixels, options.width, options.quality)
+            message = {"header": header, "format": "jpeg", "data": base64.b64encode(jpeg).decode()}
             async with asyncio.timeout(TAKEN_TIMEOUT_S):
-                await self.send(connection, _message(captured, jpeg, options.frame_id))
+                await self.send(connection, message)
                 await (await connection.ping())
             self.published += 1
 
-
-def _message(captured: Captured, jpeg: bytes, frame_id: str) -> dict[str, Any]:
-    sec, nanosec = divmod(captured.stamp_ns, 1_000_000_000)
-    return {
-        "header": {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id},
-        "format": "jpeg",
-        "data": base64.b64encode(jpeg).decode(),
-    }
-
-
-async def publish_camera(
-    target: PublishedTopic, options: CameraOptions, source: ImageSource, tell: Callable[[str], None]
-) -> tuple[int, bool]:
-    """Publish a camera's images until they end or a signal; return their number, and True for a signal."""
-    client = CameraClient(target, options, source, tell)
-    by_signal = await run_until_signal(client.run())
-    return client.published, by_signal
+    def _note_image(self) -> None:
+        if self._loop is not None:
+            call_in_loop(self._loop, self._arrived.set)

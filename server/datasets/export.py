@@ -26,7 +26,6 @@ from server.datasets.samples import (
     STATE_TOPIC,
     JointSample,
     Samples,
-    Times,
     interventions,
     merged,
     read_samples,
@@ -141,7 +140,10 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
         raise ExportError("videos need av: pip install 'armbridge[datasets]', or --no-video")
     # From the first state on: times since then are short, and exact.
     zero_s = float(states_s[0])
-    image_times_s = {key: _image_times_s(samples.images[topic]) - zero_s for key, topic in cameras.items()}
+    image_times_s = {
+        key: np.maximum.accumulate(times_s(*zip(*samples.images[topic], strict=True))) - zero_s
+        for key, topic in cameras.items()
+    }
     commanded: list[Tracks] = []
     for name, action_samples in _actions(samples, joints, options.action_topic):
         action_s, actions = series(action_samples, joints)
@@ -266,10 +268,6 @@ def _arm_of(sources: Sequence[_Source], joints: Sequence[str], options: ExportOp
             raise ExportError(f"{samples.path}: {text}")
         found = found or arm
     return found
-
-
-def _image_times_s(images: Sequence[tuple[float, float]]) -> Times:
-    return np.maximum.accumulate(times_s([log_s for log_s, _ in images], [stamp_s for _, stamp_s in images]))
 
 
 def camera_keys(topics: Iterable[str]) -> dict[str, str]:

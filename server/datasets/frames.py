@@ -94,12 +94,6 @@ def frames_of(episode: Episode, tracks: Tracks, fps: int, max_gap_s: float = MAX
     return EpisodeFrames(episode.task, start_s, states, actions, images)
 
 
-def gripper_percent(positions: PositionRows, limits: tuple[float, float]) -> PositionRows:
-    """Return positions of a gripper as lerobot has them: 0 at the lower limit, 100 at the upper."""
-    lower, upper = limits
-    return (positions - lower) / (upper - lower) * 100.0
-
-
 def is_gripper(joint: str) -> bool:
     """Return True if a joint is a gripper by its name, also with an arm's name ahead of it."""
     return joint == "gripper" or joint.endswith("_gripper")
@@ -112,10 +106,13 @@ def in_lerobot_units(
     zeros_rad: Mapping[str, float],
 ) -> PositionRows:
     """Return positions of shape (n, joints) [rad] in degrees from zeros, grippers in percent of their ranges."""
-    columns = [
-        gripper_percent(column, ranges[name]) if is_gripper(name) else np.degrees(column - zeros_rad[name])
-        for name, column in zip(joints, positions.T, strict=True)
-    ]
+    columns = []
+    for name, column in zip(joints, positions.T, strict=True):
+        if is_gripper(name):
+            lower, upper = ranges[name]
+            columns.append((column - lower) / (upper - lower) * 100.0)
+        else:
+            columns.append(np.degrees(column - zeros_rad[name]))
     return np.column_stack(columns)
 
 

@@ -155,11 +155,11 @@ def resumed(arms: Mapping[str, ArmFiles], recalibrated: Recalibrated) -> dict[st
 
 def teaching_of(context: ServerContext) -> Teaching:
     """Return the recording of motions, beside the action that replays them."""
-    planning, robot = context.planning, context.planning.robot
+    robot = context.planning.robot
     # In a folder beside the named states.
     motions = MotionFiles(default_path("motions", robot, os.environ).with_suffix(""), robot)
-    offer_replay(context.graph, robot, motions, context.goals.queue, planning.problems)
-    return Teaching(context.graph, robot, motions, planning.pool, planning.scene_state, planning.current)
+    offer_replay(context.graph, context.planning, motions, context.goals.queue)
+    return Teaching(context.graph, context.planning, motions)
 
 
 class PolicyChunks(Feature):

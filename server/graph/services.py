@@ -213,8 +213,11 @@ class Services(Providers[Call]):
         try:
             request = self._completed(offer, arguments)
         except MessageError as error:
-            on_response(Response(ok=False, values=f"Service {name}: {error}"))
-            return
+            if (rule := self.rules.get(name)) is None or not rule.at_once:
+                on_response(Response(ok=False, values=f"Service {name}: {error}"))
+                return
+            # Somebody wants the arm to stop, whatever else the call says.
+            request = self._completed(offer, {})
         call = Call(name, offer.type_name, request, self._message_types, caller, dialect)
         bound_s = offer.limit_s if timeout_s is None else min(timeout_s or MAX_TIMEOUT_S, MAX_TIMEOUT_S)
         self._keep(call, offer, call, caller, bound_s, f"Service {name} did not answer in {bound_s:g} s")

@@ -244,7 +244,7 @@ async def serve(options: ReplayOptions) -> None:
             f"armbridge.recordings {options.path}: {listener.url} (rosbridge), "
             f"{len(summary.topics)} topics, {summary.messages} messages, {summary.duration_s:.1f} s{incomplete}",
         )
-        await unless_ended(ending, _play(player, options))
+        await unless_ended(ending, _play(player, options), cancel_timeout_s=None)
     finally:
         await listener.close()
     log.info("replay ended: %d messages published, %d could not be read", player.published, player.unreadable)

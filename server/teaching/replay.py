@@ -23,7 +23,8 @@ from server.graph.permissions import GOAL
 from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import reject_goal, submit_goal
 from server.moveit.messages import Message, error_code
-from server.moveit.requests.planning_problems import GoalStep, ProblemBuilder
+from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_problems import GoalStep
 from server.teaching.services import CHECK_TIME_S
 from server.teaching.taught_motion import MotionFiles, TaughtMotion, read_speed
 
@@ -36,9 +37,7 @@ TYPE = "armbridge_msgs/action/ReplayMotion"
 MAX_REPEAT = 100
 
 
-def offer_replay(
-    graph: Graph, robot: RobotModel, motions: MotionFiles, queue: GoalQueue, problems: ProblemBuilder
-) -> None:
+def offer_replay(graph: Graph, planning: PlanningContext, motions: MotionFiles, queue: GoalQueue) -> None:
     async def submit(goal: ActionGoal) -> None:
         name, repeat = goal.request["name"], goal.request["repeat"]
         try:
@@ -48,7 +47,7 @@ def offer_replay(
             taught = await motions.load(name)
             if goal.request["reverse"]:
                 taught = taught.reversed()
-            motion = planned(taught, speed, repeat, robot, problems)
+            motion = planned(taught, speed, repeat, planning)
         except RefusedError as error:
             reject_goal(goal, queue, error.failure, result)
         except ServiceError as error:
@@ -58,7 +57,7 @@ def offer_replay(
             def explained(answer: Answer) -> dict[str, Any]:
                 """Write the result, and log where the replay was slower than asked for."""
                 made = () if answer.performed is None else answer.performed.planned
-                slowed = taught.slowed(speed, made[-1], robot) if made else ""
+                slowed = taught.slowed(speed, made[-1], planning.robot) if made else ""
                 if slowed:
                     log.info("the replay of %r took %s", name, slowed)
                 return result(answer, f"; it took {slowed}" if slowed else "")
@@ -85,19 +84,14 @@ class TaughtStep(MotionStep):
         return self.taught.problem(start_rad, self.speed, CHECK_TIME_S)
 
 
-def planned(
-    taught: TaughtMotion, speed: float, repeat: int, robot: RobotModel, problems: ProblemBuilder
-) -> PlannedMotion:
+def planned(taught: TaughtMotion, speed: float, repeat: int, planning: PlanningContext) -> PlannedMotion:
     """Return the motion to the start of a taught motion, and its replays."""
     joints = frozenset(taught.joint_names)
-    once = (
-        *(
-            GoalStep(problems, group, JointGoal({name: taught.start_rad[name] for name in group.joints}))
-            for group in groups_of(robot, joints)
-        ),
-        TaughtStep(taught, speed),
-    )
-    return PlannedMotion(once * (1 + repeat), joints)
+    to_start = [
+        GoalStep(planning.problems, group, JointGoal({name: taught.start_rad[name] for name in group.joints}))
+        for group in groups_of(planning.robot, joints)
+    ]
+    return PlannedMotion((*to_start, TaughtStep(taught, speed)) * (1 + repeat), joints)
 
 
 def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:

@@ -6,19 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from planners.interface import Planners
 from planners.problem import Plan, PlanningFailure
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Mode
 from robot.trajectory import Vector
 from server.errors import ServiceError
-from server.execution.monitors import CurrentScene, CurrentState
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
 from server.graph.services import Work, telling
 from server.graph.topics import Graph
 from server.lifecycle import Feature
 from server.moveit.messages import Message
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import TRAJECTORY_LIMITS
 from server.teaching.taught_motion import (
     MAX_DURATION_S,
@@ -114,21 +113,8 @@ class Teaching(Feature):
 
     name = "teaching"
 
-    def __init__(
-        self,
-        graph: Graph,
-        robot: RobotModel,
-        motions: MotionFiles,
-        pool: Planners,
-        scene: CurrentScene,
-        current: CurrentState,
-    ) -> None:
-        self._graph = graph
-        self._robot = robot
-        self._motions = motions
-        self._pool = pool
-        self._scene = scene
-        self._current = current
+    def __init__(self, graph: Graph, planning: PlanningContext, motions: MotionFiles) -> None:
+        self._graph, self._planning, self._robot, self._motions = graph, planning, planning.robot, motions
         self._node = Node("teaching")
         self._recorder: TeachingRecorder | None = None
         self._state: ArmState | None = None
@@ -309,10 +295,11 @@ class Teaching(Feature):
         """Return the plan of a replay in the present scene, or why there is none."""
         if self._closing:
             return "it was not checked: the server is ending"
-        held_rad = self._current.positions_rad()
+        held_rad = self._planning.current.positions_rad()
         if held_rad is None:
             return "it was not checked: joint positions unknown: the arm is not connected"
-        answer = await self._pool.ask(motion.problem(held_rad, speed, CHECK_TIME_S), self._scene.scene)
+        problem = motion.problem(held_rad, speed, CHECK_TIME_S)
+        answer = await self._planning.pool.ask(problem, self._planning.scene_state.scene)
         if isinstance(answer, PlanningFailure):
             return f"it cannot be replayed: {answer.message}"
         return answer

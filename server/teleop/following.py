@@ -1,7 +1,6 @@
 """Following: when a follower moves, and how fast; pure logic, time is an argument."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -152,17 +151,3 @@ def tracking_velocity(error_rad: float, leader_rad_s: float, limits: TrackingLim
     closing = math.copysign(min(abs(error_rad) / tracking_time_s, braking), error_rad)
     velocity = leader_rad_s + closing
     return min(max(velocity, -limits.velocity_rad_s), limits.velocity_rad_s)
-
-
-def tracking_velocities(
-    goals_rad: Mapping[str, float],
-    targets_rad: Mapping[str, float],
-    leader_rad_s: Mapping[str, float],
-    limits: Mapping[str, TrackingLimits],
-    latency_s: float,
-) -> dict[str, float]:
-    """Return the velocity of each joint that has a target; a leader's velocity that is not named is 0 [rad/s]."""
-    return {
-        name: tracking_velocity(target - goals_rad[name], leader_rad_s.get(name, 0.0), limits[name], latency_s)
-        for name, target in targets_rad.items()
-    }

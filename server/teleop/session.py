@@ -20,9 +20,9 @@ from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
-from server.teleop.following import STALE_S, FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocities
+from server.teleop.following import STALE_S, FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocity
 from server.teleop.gripper_following import GripperFollowing
-from server.teleop.leader import FollowingJoints, JitterBuffer
+from server.teleop.leader import FollowingJoints, JitterBuffer, LeaderPose
 
 log = logging.getLogger("armbridge.teleop")
 
@@ -180,17 +180,18 @@ class FollowingSession:
     def _step(self) -> None:
         self._came.clear()
         now_s = self._clock()
-        obstacle = self._obstacle(now_s)
+        pose = self._samples.pose(now_s)
+        obstacle = self._obstacle(now_s, pose)
         if self._interrupted and not obstacle and self.following.phase is FollowingPhase.FOLLOWING:
             # The planners were late and the arm has come to rest by itself, or the leader is far away.
             self._carry_out(self.following.interrupt(now_s, self._interrupted), now_s)
         self._interrupted = ""
         age_s, jump = self._samples.age_s(now_s), self._samples.take_jump()
-        self._carry_out(self.following.tick(now_s, age_s, jump=jump, obstacle=obstacle), now_s)
+        self._carry_out(self.following.tick(now_s, age_s, jump=jump, obstacle=obstacle), now_s, pose)
         if (self.following.phase, self._message) != self._shown or now_s - self._shown_at_s >= SHOWN_EVERY_S:
             self._tell()
 
-    def _obstacle(self, now_s: float) -> str:
+    def _obstacle(self, now_s: float, pose: LeaderPose | None) -> str:
         """Return the reason for which the follower cannot go on; empty if there is none."""
         follower = self._follower
         if is_stopped(follower.arm.last_stop, self._epoch):
@@ -206,15 +207,14 @@ class FollowingSession:
         if self._ramp is not None and now_s - self._ramp_moved_s > RAMP_BEGINS_WITHIN_S:
             waits = "" if self._ramp.progress is None else f": {self._ramp.progress.message}"
             return f"the follower has not set out for the leader within {RAMP_BEGINS_WITHIN_S:g} s{waits}"
-        pose = self._samples.pose(now_s)
         return "" if pose is None else self._joints.beyond_range(pose.positions_rad)
 
-    def _carry_out(self, act: FollowerAct, now_s: float) -> None:
+    def _carry_out(self, act: FollowerAct, now_s: float, pose: LeaderPose | None = None) -> None:
         match act:
-            case FollowerAct.RAMP:
-                self._begin_ramp(now_s)
-            case FollowerAct.FOLLOW:
-                self._follow(now_s)
+            case FollowerAct.RAMP if pose is not None:
+                self._begin_ramp(pose, now_s)
+            case FollowerAct.FOLLOW if pose is not None:
+                self._follow(pose, now_s)
             case FollowerAct.BRAKE:
                 self._servo.release()
                 if self._ramp is not None:
@@ -224,10 +224,7 @@ class FollowingSession:
                     self._gripper.end(self.following.message)
                 self._speed_scale, self._lag_rad, self._warning = 1.0, 0.0, ""
 
-    def _begin_ramp(self, now_s: float) -> None:
-        pose = self._samples.pose(now_s)
-        if pose is None:
-            return
+    def _begin_ramp(self, pose: LeaderPose, now_s: float) -> None:
         targets = self._joints.targets_rad(pose.positions_rad)
         steered = {name: target for name, target in targets.items() if name in self._follower.setup.joints}
         if not steered:
@@ -251,10 +248,7 @@ class FollowingSession:
 
         ramp.answered.add_done_callback(take)
 
-    def _follow(self, now_s: float) -> None:
-        pose = self._samples.pose(now_s)
-        if pose is None:
-            return
+    def _follow(self, pose: LeaderPose, now_s: float) -> None:
         targets = self._joints.targets_rad(pose.positions_rad)
         steered = {name: target for name, target in targets.items() if name in self._follower.setup.joints}
         goals = self._servo.positions_rad()
@@ -276,11 +270,15 @@ class FollowingSession:
             # A target that a limit holds has no velocity.
             held = not link.lower_rad < target_rad < link.upper_rad
             leader_rad_s[link.follower] = 0.0 if held else link.scale * pose.velocity_rad_s.get(link.leader, 0.0)
-        velocities = tracking_velocities(goals, steered, leader_rad_s, self._limits, self._servo.latency_s)
+        latency_s = self._servo.latency_s
+        velocities = {
+            name: tracking_velocity(target - goals[name], leader_rad_s[name], self._limits[name], latency_s)
+            for name, target in steered.items()
+        }
         self._servo.set_command(JointVelocities(velocities), STALE_S)
         gripper = self._follower.gripper
         if self._gripper is not None and gripper is not None and (joint := gripper.joints[0].name) in targets:
-            self._gripper_lead = targets[joint], leader_rad_s.get(joint, 0.0)
+            self._gripper_lead = targets[joint], leader_rad_s[joint]
             self._gripper.go_on()
         self._read_at_s = now_s - pose.latency_s
         self._show_targets(targets)

@@ -227,7 +227,12 @@ class Teleoperation(Feature):
         self._queue.take_over(follower.joints, f"the leader {leader.name[:80]}")
         # The way to the leader of a following that has just ended may brake.
         await self._wait(follower, BRAKING_S, lambda: self._in_use(follower))
-        self._listen(following)
+        if leader.is_topic:
+            subscriber = Subscriber(leader.take_message, lambda error: leader.complain(str(error)))
+            try:
+                self._graph.subscribe(following.node, leader.name, JOINT_STATE, subscriber)
+            except MessageError as error:
+                raise ServiceError(f"leader: {error}") from error
         silence = f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s"
         await self._wait(follower, FIRST_SAMPLE_S, lambda: "" if leader.joint_names else silence)
         joints = joint_map(
@@ -285,21 +290,6 @@ class Teleoperation(Feature):
         if not name and len(names) == 1:
             return self._followers[names[0]]
         raise ServiceError(f"follower: must be one of {', '.join(names) or 'none'}, not {name[:80]!r}")
-
-    # Leaders.
-
-    def _listen(self, following: _Following) -> None:
-        leader = following.leader
-        if not leader.is_topic:
-            return
-
-        def refused(error: MessageError) -> None:
-            leader.complain(str(error))
-
-        try:
-            self._graph.subscribe(following.node, leader.name, JOINT_STATE, Subscriber(leader.take_message, refused))
-        except MessageError as error:
-            raise ServiceError(f"leader: {error}") from error
 
     def _forget(self, follower: Follower, following: _Following) -> None:
         if self._followings.get(follower.name) is not following:

@@ -68,7 +68,6 @@ def test_a_mandatory_field_that_is_missing_is_named():
 
 SENSELESS = {
     ("publish", "topic"): (42, "", "a" * (MAX_NAME_CHARACTERS + 1)),
-    ("publish", "msg"): (None, [], "text"),
     ("publish", "id"): (True, float("nan"), {}, "a" * (MAX_ID_CHARACTERS + 1)),
     ("advertise", "type"): (None,),
     ("advertise", "qos"): ("reliable",),

@@ -14,17 +14,14 @@ from server.recording.replay import RecordingFile
 from server.zenoh.settings import ZenohSettings
 
 
-async def test_session_settings_reach_the_graph_and_the_bridge() -> None:
+async def test_settings_reach_graph_and_bridge_and_nobody_is_connected_before_the_rules_of_names_are_known() -> None:
     server = ServerSettings(unregister_timeout_s=3.0, limits=Limits(max_message_bytes=70_000))
     app = App(Settings(server=server, zenoh=ZenohSettings(mode="peer")))
     assert app.graph._unregister_timeout_s == 3.0
     assert app.bridge is not None
     assert App(Settings()).bridge is None
     assert app.bridge._max_message_bytes == 70_000
-
-
-async def test_nobody_is_connected_before_the_rules_of_all_names_are_known() -> None:
-    names = [each.name for each in App(Settings(zenoh=ZenohSettings(mode="peer"))).features]
+    names = [each.name for each in app.features]
     assert names.index("goals") < names.index("zenoh")
     assert names.index("goals") < names.index("connections")
     # Other machines hear of the end of goals, and may stop the arm, until it has stopped.

@@ -146,14 +146,12 @@ class Told:
         return self.calls
 
 
-async def test_a_service_reads_its_files_again() -> None:
-    assert await Told(lambda _descriptor: False).after_hangup() == ["reload"]
-
-
-@pytest.mark.parametrize(("gone", "call"), [(False, "reload"), (True, "end")])
-async def test_a_program_in_a_terminal_reloads_its_files_and_ends_with_it(gone: bool, call: str) -> None:
+@pytest.mark.parametrize(("terminal", "gone", "call"), [(0, 0, "reload"), (1, 0, "reload"), (1, 1, "end")])
+async def test_a_hangup_ends_a_program_whose_terminal_is_gone_and_has_others_read_their_files_again(
+    terminal: int, gone: int, call: str
+) -> None:
     ours, theirs = pty.openpty()
-    told = Told(lambda _descriptor: os.isatty(theirs))
+    told = Told(lambda _descriptor: bool(terminal) and os.isatty(theirs))
     if gone:
         os.close(ours)
     assert await told.after_hangup() == [call]

@@ -72,7 +72,16 @@ async def test_an_emergency_stop_cuts_torque_ends_goals_and_needs_a_reset(client
     await client.until_mode("relaxed")
 
 
-@pytest.mark.parametrize("msg", [{}, {"data": True}], ids=["empty", "with a field that does not fit"])
+async def test_a_stop_whose_message_does_not_fit_stops(client: ArmClient) -> None:
+    stops = [("publish", "topic", "/stop", "msg", msg) for msg in ({"data": False}, None, [], "stop")]
+    stops += [("call_service", "service", "/arm/stop", "args", {"data": True})]
+    for op, kind, name, field, value in stops:
+        before = values_of((await client.until("/arm/state", bool))[-1])["last_stop"]
+        await client.say(op, **{kind: name, field: value})
+        await client.until("/arm/state", lambda states, before=before: values_of(states[-1])["last_stop"] != before)
+
+
+@pytest.mark.parametrize("msg", [{}, None], ids=["empty", "that does not fit"])
 async def test_whatever_is_published_on_the_topic_stops(client: ArmClient, msg: Any) -> None:
     await client.say("advertise", topic="/emergency_stop", type="std_msgs/Empty")
     await client.say("publish", topic="/emergency_stop", msg=msg)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from harness.clients import ArmClient, values_of
+from harness.clients import values_of
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, states_are_observed
@@ -73,13 +73,6 @@ def test_the_limits_are_the_descriptions_until_the_servos_own_are_known(heard: H
     pan, gripper = heard.limits[1]["limits"]
     assert (pan["joint_name"], pan["min_position"], pan["max_position"]) == ("shoulder_pan", -1.0, 1.5)
     assert gripper["max_velocity"] == ROBOT.joints["gripper"].max_velocity
-
-
-async def test_a_late_subscriber_gets_state_and_limits_at_once(client: ArmClient) -> None:
-    assert (await client.until_mode("holding"))["level"] == 0
-    limits = (await client.until("/arm/joint_limits", bool))[0]
-    assert limits["joint_names"][0] == "shoulder_pan"
-    assert all(each["min_position"] < each["max_position"] for each in limits["limits"])
 
 
 def test_joints_are_published_with_the_time_of_their_reading_and_not_of_an_arm_that_is_not_there(heard: Heard) -> None:

@@ -62,8 +62,10 @@ def test_an_arm_that_does_not_answer_is_a_finding_and_cannot_be_relaxed(emulator
     assert "no servo answers" in answer.stderr
 
 
-def test_less_than_one_cycle_is_refused(armbridge):
+def test_less_than_one_cycle_and_an_unknown_calibration_are_refused(armbridge):
     assert armbridge("doctor", "--cycles", "0").returncode == ExitCode.USAGE
+    answer = armbridge("doctor", "--calibration", "nobodys")
+    assert (answer.returncode, "lerobot has no calibration of that id" in answer.stderr) == (ExitCode.USAGE, True)
 
 
 IDS = (1, 2, 3, 4, 5, 6)

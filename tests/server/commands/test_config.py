@@ -33,9 +33,6 @@ def test_every_value_is_told_with_its_source_as_json_and_in_a_table(file, capsys
     assert ["server.port", "2", "environment"] in rows
     assert ["arm.watchdog_s", "0.5", "s", "default"] in rows
     assert ["arm.serial", "-", "default"] in rows
-
-
-def test_the_template_has_every_section(capsys):
     assert cli.main(["config", "--template"]) == ExitCode.DONE
     assert "[moveit.servo]" in capsys.readouterr().out
 

@@ -5,29 +5,13 @@ from collections.abc import Iterator
 import pytest
 from pydantic import Field
 
-from robot.calibration import save
 from robot.errors import PortBusy, PortError
 from server import cli
-from server.commands.options import (
-    guarded,
-    overrides,
-    read_calibration,
-    read_settings,
-)
+from server.commands.options import guarded, overrides, read_settings
 from server.commands.terminal import ExitCode
 from server.config import Settings
 from server.config_keys import SettingsSection, template
 from server.errors import ConfigurationError
-from tests.helpers.robots import nominal_calibration
-
-
-def test_a_calibration_is_read_from_its_file_and_one_of_unknown_id_is_refused(tmp_path):
-    save(nominal_calibration(), tmp_path / "arm.json")
-    named = argparse.Namespace(robot="so101", calibration=str(tmp_path / "arm.json"))
-    assert read_calibration(named) == nominal_calibration()
-    named.calibration = "nobodys"
-    with pytest.raises(ConfigurationError, match="lerobot has no calibration of that id"):
-        read_calibration(named)
 
 
 @pytest.mark.parametrize(

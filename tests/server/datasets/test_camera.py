@@ -10,13 +10,11 @@ from PIL import Image
 from harness.waiting import TIMEOUT_S, wait_until
 from server.cli import main
 from server.datasets import camera
-from server.datasets.camera import CameraError, NewestImage, OpenCvSource, Pixels, open_source, to_jpeg
+from server.datasets.camera import CameraError, ImageSource, NewestImage, OpenCvSource, Pixels, open_source, to_jpeg
 
 
-class Scripted:
+class Scripted(ImageSource):
     """A camera of which the test takes the images."""
-
-    stamp_ns: int | None = None
 
     def __init__(self, *, paced: bool = True, count: int = 1_000_000) -> None:
         self.paced = paced
@@ -54,7 +52,7 @@ def test_only_the_newest_image_is_kept_and_given_once() -> None:
     wait_until(lambda: images.captured == 3)
     taken = images.take()
     assert taken is not None
-    assert (taken.stamp_ns, taken.pixels[0, 0, 0]) == (7, 3)
+    assert (taken[0], taken[1][0, 0, 0]) == (7, 3)
     assert images.take() is None
     source.allowed.release()
     images.close()

@@ -14,24 +14,20 @@ from robot.trajectory import Trajectory
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.actions import ActionGoal, GoalStatus
-from server.moveit.parameters import MoveItParameters, PlannerParameters
-from server.moveit.requests.planning_problems import ProblemBuilder
 from server.teaching.replay import MAX_REPEAT, NAME, groups_of, offer_replay, planned, result
 from server.teaching.taught_motion import MotionFiles, TaughtMotion
-from tests.helpers.fake_arm import HOME, JOINTS
-from tests.helpers.moveit import FRAMES, ROBOT, SEVEN, ActionDesk, rejection
+from tests.helpers.fake_arm import HOME, JOINTS, FakeArm
+from tests.helpers.moveit import ROBOT, SEVEN, ActionDesk, planning_of, rejection
 
 POINTS = np.linspace(0.1, 0.5, 11)[:, np.newaxis] * np.ones(len(JOINTS))
 WAVE = TaughtMotion(JOINTS, np.arange(11) * 0.3, POINTS)
-
-PROBLEMS = ProblemBuilder(ROBOT, FRAMES, PlannerParameters(MoveItParameters()))
 
 
 @pytest.fixture
 async def desk(tmp_path: Path) -> ActionDesk:
     """The action with one taught motion."""
     made, motions = ActionDesk(), MotionFiles(tmp_path, ROBOT)
-    offer_replay(made.graph, ROBOT, motions, made.queue, PROBLEMS)
+    offer_replay(made.graph, made.context, motions, made.queue)
     await motions.save("wave", WAVE)
     return made
 
@@ -48,7 +44,7 @@ def problems(motion: PlannedMotion) -> list[Any]:
 
 
 def test_a_replay_goes_to_the_start_of_each_group_and_then_follows_all_joints() -> None:
-    arm, gripper, path = problems(planned(WAVE, 1.0, 0, ROBOT, PROBLEMS))
+    arm, gripper, path = problems(planned(WAVE, 1.0, 0, planning_of(FakeArm())))
     assert isinstance(arm, PlanningProblem)
     assert isinstance(path, JointPathProblem)
     assert (arm.group, gripper.group) == ("arm", "gripper")

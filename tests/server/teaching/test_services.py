@@ -28,7 +28,7 @@ class Lesson(ServiceRig):
     def __init__(self, folder: Path) -> None:
         super().__init__()
         self.motions = MotionFiles(folder, ROBOT)
-        self.teaching = Teaching(self.graph, ROBOT, self.motions, self.pool, self.scene_state, self.current)
+        self.teaching = Teaching(self.graph, self.context, self.motions)
         self.states = self.listen("/teach/state", "armbridge_msgs/TeachState")
         self.state = RELAXED
         self.teaching.on_state("", self.state)

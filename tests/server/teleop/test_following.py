@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from robot.control.motion import VelocityTracking
 from robot.description.limits import JointBounds
 from robot.trajectory import TIME_TO_FULL_ACCELERATION_S
-from server.teleop.following import FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocities
+from server.teleop.following import FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocity
 
 FRESH, STALE = 0.01, 0.3
 TICK_S = 0.01
-LIMITS = {"a": TrackingLimits(2.0, 6.0)}
+LIMITS = TrackingLimits(2.0, 6.0)
 
 
 def following() -> Following:
@@ -76,9 +76,8 @@ class Tracking:
     def follow(self, place_rad: float, velocity_rad_s: float = 0.0) -> tuple[float, float]:
         """Do a tick; returns position [rad] and velocity [rad/s]."""
         if self._ticks % 2 == 0:
-            goal = {"a": float(self._joint.position_rad[0])}
-            wanted = tracking_velocities(goal, {"a": place_rad}, {"a": velocity_rad_s}, LIMITS, 0.0)
-            self._joint.set_target(np.array([wanted["a"]]))
+            error_rad = place_rad - float(self._joint.position_rad[0])
+            self._joint.set_target(np.array([tracking_velocity(error_rad, velocity_rad_s, LIMITS, 0.0)]))
         self._ticks += 1
         self._joint.advance(TICK_S)
         return float(self._joint.position_rad[0]), float(self._joint.velocity_rad_s[0])
@@ -87,16 +86,15 @@ class Tracking:
 @settings(max_examples=40, deadline=None)
 @given(st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=40), st.integers(1, 12))
 def test_goals_never_jump_however_the_leader_moves(places: list[float], ticks_each: int) -> None:
-    limits = LIMITS["a"]
-    jerk = limits.acceleration_rad_s2 / TIME_TO_FULL_ACCELERATION_S
+    jerk = LIMITS.acceleration_rad_s2 / TIME_TO_FULL_ACCELERATION_S
     ticks = [(0.0, 0.0)]
     tracking = Tracking()
     ticks += [tracking.follow(place) for place in places for _ in range(ticks_each)]
     position, velocity = np.array(ticks).T
     acceleration = np.diff(velocity) / TICK_S
     assert np.abs(position).max() <= 2.0 + 1e-6
-    assert np.abs(np.diff(position)).max() <= limits.velocity_rad_s * TICK_S + 1e-6
-    assert np.abs(acceleration).max() <= limits.acceleration_rad_s2 + 1e-4
+    assert np.abs(np.diff(position)).max() <= LIMITS.velocity_rad_s * TICK_S + 1e-6
+    assert np.abs(acceleration).max() <= LIMITS.acceleration_rad_s2 + 1e-4
     assert np.abs(np.diff(acceleration)).max(initial=0.0) <= jerk * TICK_S * 2.0 + 1e-4
 
 

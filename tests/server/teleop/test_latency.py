@@ -297,17 +297,17 @@ class Meshes:
         self._data, self._placed = self._model.createData(), self._geometry.createData()
         self._foot = pin.SE3(np.eye(3), np.array(FEET_M[side]))
         self._columns = [list(self._model.names)[1:].index(name) for name in STEERED]
-        self.shapes = [each.geometry for each in self._geometry.geometryObjects]
-        self.radii_m = np.array([shape.aabb_radius for shape in self.shapes])
 
-    def placed(self, goals_rad: np.ndarray) -> tuple[list[coal.Transform3s], np.ndarray]:
-        """Return the pose of each mesh and the middle of a sphere around it, at goals of the joints [rad]."""
+    def placed(self, goals_rad: np.ndarray) -> list[tuple[coal.CollisionGeometry, coal.Transform3s]]:
+        """Return each mesh and its pose at goals of the joints [rad]."""
         q = np.zeros(self._model.nq)
         q[self._columns] = goals_rad
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed, q)
         poses = [self._foot * pose for pose in self._placed.oMg]
-        middles_m = [pose.act(shape.aabb_center) for shape, pose in zip(self.shapes, poses, strict=True)]
-        return [coal.Transform3s(pose.rotation, pose.translation) for pose in poses], np.array(middles_m)
+        return [
+            (each.geometry, coal.Transform3s(pose.rotation, pose.translation))
+            for each, pose in zip(self._geometry.geometryObjects, poses, strict=True)
+        ]
 
 
 @functools.cache
@@ -318,17 +318,11 @@ def meshes_of_both() -> tuple[Meshes, Meshes]:
 def touch(goals_rad: np.ndarray) -> bool:
     """Return True if the arms touch each other or themselves, at goals of the joints of both [rad]."""
     parts = np.split(goals_rad, 2)
-    if any(judge().collides(part) for part in parts):
-        return True
-    left, right = meshes_of_both()
-    (at, middles_m), (there, others_m) = (arm.placed(part) for arm, part in zip((left, right), parts, strict=True))
-    apart_m = np.linalg.norm(middles_m[:, np.newaxis] - others_m, axis=2)
-    for i, j in np.argwhere(apart_m < left.radii_m[:, np.newaxis] + right.radii_m):
-        if coal.collide(
-            left.shapes[i], at[i], right.shapes[j], there[j], coal.CollisionRequest(), coal.CollisionResult()
-        ):
-            return True
-    return False
+    left, right = (arm.placed(part) for arm, part in zip(meshes_of_both(), parts, strict=True))
+    return any(judge().collides(part) for part in parts) or any(
+        coal.collide(*one, *other, coal.CollisionRequest(), coal.CollisionResult())
+        for one, other in itertools.product(left, right)
+    )
 
 
 # A latency of 0.095 s: the arms touched before they left each other half of the way, and retreated.

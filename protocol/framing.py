@@ -60,13 +60,13 @@ class FrameReader:
         """True when the next frame is read by itself, and the client speaks JSON."""
         return not self._pending and not self.last_was_bson
 
-    def feed(self, frame: str | bytes, *, light: bool = False) -> list[object | FrameError]:
+    def feed(self, frame: str | bytes) -> list[object | FrameError]:
         """Return the values that end in this frame, in order; an error stands for a value that cannot be decoded."""
         self.last_was_bson = isinstance(frame, bytes) and bson.is_document(frame)
         try:
             if isinstance(frame, bytes) and self.last_was_bson:
                 return [bson.decode(frame)]
-            value = json.decode(frame, light=light)
+            value = json.decode(frame)
         except FrameError as error:
             return [error] if self.last_was_bson else self._read_on(frame, error)
         if not self._pending:

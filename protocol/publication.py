@@ -129,9 +129,6 @@ Encoding: TypeAlias = Literal["none", "png", "cbor", "cbor-raw", "bson"]
 # Spelled topic, encoding, dialect and greatest length of a frame.
 _Key: TypeAlias = tuple[str, Encoding, Dialect, int | None]
 
-# The topics of a large robot, each in two spellings.
-_MAX_OPENINGS = 1024
-
 
 class PublishedMessage:
     """A complete message of a topic, and the frames made of it.
@@ -261,7 +258,9 @@ class PublishedMessage:
 
     def _parts(self, spelled_topic: str, dialect: Dialect) -> tuple[bytes, bytes, bytes]:
         """Return the text frame in pieces, which are put together in one go: a message may have megabytes."""
-        return _opening(spelled_topic), self._encoded_msg("none", dialect), b"}"
+        # rosbridge sends exactly these three keys; behind them goes the message as it was encoded.
+        opening = b'{"op":"publish","topic":%b,"msg":' % json.encode(spelled_topic)
+        return opening, self._encoded_msg("none", dialect), b"}"
 
     def _encoded_msg(self, encoding: Encoding, dialect: Dialect) -> bytes:
         encoded_msg = self._encoded.get((encoding, dialect))
@@ -289,9 +288,3 @@ class PublishedMessage:
 
     def _encode_json(self, msg: Mapping[str, Any]) -> bytes:
         return json.encode_in_pieces(msg) if self.large and not self._light else json.encode(msg)
-
-
-@functools.lru_cache(maxsize=_MAX_OPENINGS)
-def _opening(spelled_topic: str) -> bytes:
-    # rosbridge sends exactly these three keys; behind them goes the message as it was encoded.
-    return b'{"op":"publish","topic":%b,"msg":' % json.encode(spelled_topic)

@@ -180,12 +180,11 @@ class SendQueue:
             self._drop(self._waiting[subscription][0])
         self._drop_late(subscription, now)
         # Behind messages that are bulky, or wait for a throttle that is gone, others wait too: they keep their order.
-        lane_before = self._waiting[subscription][-1].lane if subscription in self._waiting else self._free
-        if subscription.paced or lane_before is self._paced:
+        lane = self._waiting[subscription][-1].lane if subscription in self._waiting else self._free
+        if subscription.paced:
             lane = self._paced
-        else:
-            is_bulky = encoded.size_bytes >= BULKY_BYTES and not in_order
-            lane = self._bulky if is_bulky else lane_before
+        elif lane is self._free and encoded.size_bytes >= BULKY_BYTES and not in_order:
+            lane = self._bulky
         waiting = _TopicData(
             next(self._sequence), encoded, encoded.size_bytes, "topic data", lane, subscription, queued_s=now
         )
@@ -274,10 +273,11 @@ class SendQueue:
         """Go over all that may leave, in order; nothing may be taken out meanwhile."""
         lanes: list[Iterable[_Waiting]] = [lane.values() for lane in (self._replies, self._free) if lane]
         for subscription in self._throttled():
-            waiting = self._waiting[subscription]
-            due = itertools.islice(waiting, subscription.due_count(len(waiting), now))
-            # Those that have waited since before the subscription had its throttle are free.
-            lanes.append(each for each in due if each.lane is self._paced)
+            if now >= subscription.due_s:
+                # One by one; all of them where the throttle is gone.
+                due = itertools.islice(self._waiting[subscription], 1 if subscription.paced else None)
+                # Those that have waited since before the subscription had its throttle are free.
+                lanes.append(each for each in due if each.lane is self._paced)
         if self._bulky:
             oldest = next(iter(self._bulky.values()))
             if oldest.queued_s >= now - BEHIND_S:

@@ -28,16 +28,6 @@ SEND_BUDGET_BYTES = 65_536
 # A client that is too slow gets slower by every message about it.
 DROPS_TOLD_EVERY_S = 1.0
 
-# Offered a message when nothing waits before it; returns True when it has been sent. Clients that keep up bypass the
-# queue.
-SendAtOnce: TypeAlias = Callable[[EncodedMessage], bool]
-
-
-def never_at_once(_encoded: EncodedMessage) -> bool:
-    """Send nothing at once."""
-    return False
-
-
 # Returns the fields of an operation whose message is large.
 LaterFields: TypeAlias = Callable[[], Mapping[str, Any]]
 
@@ -71,7 +61,9 @@ CONGESTED_SHARE = 0.25
 class Session:
     """The protocol state of one client.
 
-    ``newest_only`` lets a subscription begin with at most the newest of the messages before it.
+    ``newest_only`` lets a subscription begin with at most the newest of the messages before it. ``send_at_once`` is
+    offered a message when nothing waits before it, and returns True when it has sent it: clients that keep up bypass
+    the queue.
     """
 
     def __init__(
@@ -81,6 +73,7 @@ class Session:
         budget: SendBudget | None = None,
         *,
         newest_only: bool = False,
+        send_at_once: Callable[[EncodedMessage], bool] = lambda _encoded: False,
     ) -> None:
         self.limits = limits or Limits()
         self.publications: Registrations[Advertise] = Registrations(
@@ -91,6 +84,7 @@ class Session:
         self.status_level = "none"
         self.dialect = dialect
         self.newest_only = newest_only
+        self._send_at_once = send_at_once
         self.send_queue = SendQueue(self.limits, budget)
         self._reader = FrameReader(self.limits)
         self._reassembly = framing.Reassembly(self.limits)
@@ -104,9 +98,7 @@ class Session:
 
     # What comes from the client.
 
-    def receive_frame(
-        self, frame: str | bytes, now: float, *, light: bool = False
-    ) -> list[Operation | Refusal | Packed]:
+    def receive_frame(self, frame: str | bytes, now: float) -> list[Operation | Refusal | Packed]:
         """Read one frame of JSON or BSON; nothing in it makes this raise.
 
         Carry out the operations in this order, unpack `Packed` ones in their place, and log the refusals. A thread may
@@ -117,7 +109,7 @@ class Session:
         if size_bytes > self.limits.max_message_bytes:
             text = f"message of {size_bytes} bytes, the limit is {self.limits.max_message_bytes}"
             return [Refusal(None, None, text)]
-        found = self._reader.feed(frame, light=light)
+        found = self._reader.feed(frame)
         if len(found) == 1:
             return self._read(found[0], now)
         return [item for value in found for item in self._read(value, now)]
@@ -176,12 +168,7 @@ class Session:
 
     # What goes to the client.
 
-    def deliver(
-        self,
-        published: PublishedMessage,
-        now: float,
-        send_at_once: SendAtOnce = never_at_once,
-    ) -> bool:
+    def deliver(self, published: PublishedMessage, now: float) -> bool:
         """Queue topic data under the rules of the client's subscription; return True when it was queued.
 
         Raises ProtocolError for a message that cannot be encoded as the subscription wants it.
@@ -195,27 +182,27 @@ class Session:
         size = subscription.fragment_size or self._fragment_size
         encoded = published.encoded(subscription.spelled_topic, encoding, self.dialect, size)
         at_once = encoded.ready and now >= subscription.due_s and self.send_queue.empty
-        if not at_once or not send_at_once(encoded):
+        if not at_once or not self._send_at_once(encoded):
             self.send_queue.put_topic_data(subscription, encoded, now)
             return True
         subscription.sent(now)
         return False
 
-    def reply(self, fields: Mapping[str, Any] | LaterFields, send_at_once: SendAtOnce = never_at_once) -> bool:
+    def reply(self, fields: Mapping[str, Any] | LaterFields) -> bool:
         """Send or queue an operation, which is never dropped; True when it was queued. Afterwards look at `overflowed`.
 
         ``fields`` of a large message is a function, called by :meth:`EncodedMessage.encode`.
         """
         encoded = self._encode_message(fields)
-        if self.send_queue.empty and encoded.ready and send_at_once(encoded):
+        if self.send_queue.empty and encoded.ready and self._send_at_once(encoded):
             return False
         self.send_queue.put_reply(encoded)
         return True
 
-    def ask(self, fields: Mapping[str, Any] | LaterFields, send_at_once: SendAtOnce = never_at_once) -> bool:
+    def ask(self, fields: Mapping[str, Any] | LaterFields) -> bool:
         """Send or queue a call or goal for the client's offer; False, with nothing queued, when too many wait."""
         encoded = self._encode_message(fields)
-        if self.send_queue.empty and encoded.ready and send_at_once(encoded):
+        if self.send_queue.empty and encoded.ready and self._send_at_once(encoded):
             return True
         return self.send_queue.put_request(encoded)
 

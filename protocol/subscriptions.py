@@ -116,12 +116,6 @@ class Subscription:
         self.last_sent_s = now
         return True
 
-    def due_count(self, waiting: int, now: float) -> int:
-        """Return how many of the messages that wait may leave now."""
-        if self.paced:
-            return 1 if now >= self.due_s else 0
-        return waiting
-
     def sent(self, now: float) -> None:
         """Note that messages have left, for the throttle to count from."""
         if self.paced:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import array
 import functools
-import sys
 from binascii import a2b_base64
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
@@ -74,10 +73,7 @@ def _number_packing(base: str) -> Callable[[list[Any]], cbor2.CBORTag]:
     tag, code = _TYPED_ARRAYS[base]
 
     def pack_numbers(numbers: list[Any]) -> cbor2.CBORTag:
-        packed = array.array(code, numbers)
-        if sys.byteorder == "big":
-            packed.byteswap()
-        return cbor2.CBORTag(tag, packed.tobytes())
+        return cbor2.CBORTag(tag, array.array(code, numbers).tobytes())
 
     return pack_numbers
 

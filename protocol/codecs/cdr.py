@@ -15,7 +15,6 @@ from __future__ import annotations
 import array
 import functools
 import struct
-import sys
 from binascii import a2b_base64, b2a_base64
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
@@ -29,6 +28,7 @@ from protocol.registry import MAX_COMPILED_TYPES, TEXTS, Field, Registry
 HEADER = b"\x00\x01\x00\x00"
 
 # Element types of `array` and `struct`: the same letters, and without alignment of the library's own the same sizes.
+# The machines that the program runs on are little-endian, as the representation is.
 CODES = {
     "bool": "B",
     "byte": "B",
@@ -134,7 +134,7 @@ def field_writer(field: Field, write_element: Write, *, aligned: bool) -> Write:
             # Where there are no elements, nothing is aligned either.
             if elements:
                 _align(body, size)
-            body += _swapped(array.array(code, elements)).tobytes()
+            body += array.array(code, elements).tobytes()
         else:
             for element in elements:
                 write_element(body, element)
@@ -144,13 +144,6 @@ def field_writer(field: Field, write_element: Write, *, aligned: bool) -> Write:
 
 def _align(body: bytearray, size: int) -> None:
     body += bytes(-len(body) % size)
-
-
-def _swapped(numbers: array.array[Any]) -> array.array[Any]:
-    """Change between the machine's order of bytes and little-endian."""
-    if sys.byteorder == "big":
-        numbers.byteswap()
-    return numbers
 
 
 # Some middleware fills a message up to a multiple of four octets.
@@ -267,7 +260,7 @@ def _numbers_reader(base: str, fixed_length: int | None) -> _Read:
         if not length:
             return []
         start = body.take(length * size, size)
-        numbers = _swapped(array.array(code, body.octets[start : body.position]))
+        numbers = array.array(code, body.octets[start : body.position])
         return list(map(bool, numbers)) if base == "bool" else numbers.tolist()
 
     return read

@@ -32,12 +32,12 @@ _LIGHT_CHARACTERS = 2_097_152
 _NOT_ASCII = re.compile(r"[^\x00-\x7f]+")
 
 
-def decode(frame: str | bytes, *, light: bool = False) -> object:
+def decode(frame: str | bytes) -> object:
     """Decode one frame of JSON text or its UTF-8.
 
     Raises FrameError: invalid UTF-8, no JSON, deeper than `MAX_NESTING_DEPTH`, or too many lists and objects.
     """
-    if len(frame) > 2 * PIECE_BYTES and not light:
+    if len(frame) > 2 * PIECE_BYTES and (isinstance(frame, bytes) or not is_light(frame)):
         return decode_in_pieces(_utf8(frame), _decode_piece, MAX_NESTING_DEPTH)
     try:
         # It takes bytes as they came and checks their UTF-8 on the way.

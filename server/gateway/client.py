@@ -34,7 +34,7 @@ from server.errors import GraphError
 from server.gateway.client_context import ClientContext
 from server.gateway.client_requests import ClientActions, ClientServices, name_and_id
 from server.gateway.client_topics import ClientTopics, StrictPublication
-from server.gateway.inbox import Inbox
+from server.gateway.inbox import Inbox, Waiting
 from server.graph.message_types import PostponedError, ReceivedMessage
 from server.graph.permissions import Identity, display_name
 
@@ -155,13 +155,13 @@ class Client:
         """False while nothing but the op ``auth`` is read of the client."""
         return self.node.identity is not None
 
-    def read(self, frame: str | bytes, *, light: bool = False) -> Sequence[Operation | Refusal | Packed]:
+    def read(self, frame: str | bytes) -> Sequence[Operation | Refusal | Packed]:
         """Read a frame; until a client has an identity, nothing but an ``auth`` of the least size is read."""
         if self.identified:
-            return self.session.receive_frame(frame, self._context.clock(), light=light)
+            return self.session.receive_frame(frame, self._context.clock())
         if not self.auth.check_first_frame(frame):
             return ()
-        items = self.session.receive_frame(frame, self._context.clock(), light=light)
+        items = self.session.receive_frame(frame, self._context.clock())
         return items if self.auth.check_first_operation(items) else ()
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
@@ -200,13 +200,11 @@ class Client:
                 case _:
                     pass
 
-    def carry_out(
-        self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False
-    ) -> None:
+    def carry_out(self, item: Operation | Refusal, waiting: Waiting) -> None:
         if isinstance(item, Refusal):
             self._refuse(item)
         else:
-            self._carry_out(item, size_bytes, message, light=light)
+            self._carry_out(item, waiting)
         if self.node.identity is None:
             self.inbox.close()
 
@@ -223,9 +221,7 @@ class Client:
             case _:
                 pass
 
-    def _carry_out(
-        self, operation: Operation, size_bytes: int, message: ReceivedMessage | None, *, light: bool
-    ) -> None:
+    def _carry_out(self, operation: Operation, waiting: Waiting) -> None:
         dialect = self.session.dialect
         try:
             refusal = self._authorizer.refusal(operation)
@@ -233,7 +229,7 @@ class Client:
                 self.reject(operation, refusal)
                 return
             self._detect_dialect(operation)
-            message = message or self._message_of(operation, size_bytes, light=light)
+            message = waiting.message or self._message_of(operation, waiting.size_bytes, light=waiting.light)
             _HANDLERS[type(operation)](self, operation, message)
         except (ProtocolError, GraphError) as error:
             self.status.refuse_error(operation.op, error, operation.id)

@@ -189,7 +189,7 @@ class ClientContext:
     """Parts of one client that its topics, services, actions and authentication share."""
 
     __slots__ = (
-        "clock", "connection", "gateway", "graph", "left", "node", "send_at_once", "session", "status", "transport",
+        "clock", "connection", "gateway", "graph", "left", "node", "session", "status", "transport",
     )  # fmt: skip
 
     def __init__(
@@ -201,7 +201,6 @@ class ClientContext:
         self.graph = gateway.graph
         self.clock = gateway.scheduling.turns.clock
         self.transport = transport
-        self.send_at_once = transport.send_at_once
         self.connection = connection
         self.left = False
         self.status = ClientStatus(self)
@@ -222,7 +221,7 @@ class ClientContext:
 
     def send(self, fields: dict[str, Any]) -> None:
         """Send the client an operation without a message, which is never dropped."""
-        if self.session.reply(fields, self.send_at_once):
+        if self.session.reply(fields):
             self.wake()
 
     def send_message(self, fields: dict[str, Any], field: str, type_name: str) -> None:
@@ -230,14 +229,14 @@ class ClientContext:
 
         ``type_name`` is unknown to the registry for values that are sent unchanged.
         """
-        if not self.left and self.session.reply(self._translated(fields, field, type_name), self.send_at_once):
+        if not self.left and self.session.reply(self._translated(fields, field, type_name)):
             self.wake()
 
     def send_request(self, fields: dict[str, Any], type_name: str) -> bool:
         """Send the client a call or a goal with its message in ``args``; return False when there is no room for it."""
         if self.left:
             return False
-        has_room = self.session.ask(self._translated(fields, "args", type_name), self.send_at_once)
+        has_room = self.session.ask(self._translated(fields, "args", type_name))
         if not self.session.send_queue.empty:
             self.wake()
         return has_room

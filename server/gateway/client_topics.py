@@ -174,7 +174,7 @@ class ClientTopics:
 
     def _queue(self, published: PublishedMessage) -> bool:
         try:
-            return self._session.deliver(published, self._client.clock(), self._client.send_at_once)
+            return self._session.deliver(published, self._client.clock())
         except ProtocolError as error:
             self._client.status.refuse_error("subscribe", error)
             return False

@@ -93,7 +93,13 @@ class Connection:
             address=place,
         )
         dialect: Dialect = "ros1" if query.get("ros", [str(gateway.ros_version)]) == ["1"] else "ros2"
-        session = Session(gateway.limits, dialect, gateway.budget, newest_only=not transport.framed)
+        session = Session(
+            gateway.limits,
+            dialect,
+            gateway.budget,
+            newest_only=not transport.framed,
+            send_at_once=transport.send_at_once,
+        )
         self._client = Client(ClientContext(node, session, gateway, transport, self))
         self._background = gateway.scheduling.background
         self._max_message_bytes = transport.max_message_bytes

@@ -47,13 +47,16 @@ MAX_COMPLETIONS = 3
 
 
 @dataclass(slots=True, eq=False)
-class _Waiting:
+class Waiting:
+    """Frame, or an operation of it, on its way to be carried out; ``light`` if it is so quickly, however long it is."""
+
     item: str | bytes | Operation | Refusal | Packed | StrictPublication
     size_bytes: int
     epoch: int
     repeated: bool = False
     message: ReceivedMessage | None = None
     completions: int = 0
+    light: bool = False
 
 
 class Inbox:
@@ -68,12 +71,12 @@ class Inbox:
         self._call_later = self._scheduling.call_later
         self._transport = context.transport
         self._clock = context.clock
-        self._waiting: deque[_Waiting] = deque()
+        self._waiting: deque[Waiting] = deque()
         self._waiting_bytes = 0
         # How many of them, and of those in progress, are frames that are still to be read.
         self._unread_frames = 0
         # What was the first, while a thread works on it.
-        self._in_progress: tuple[_Waiting, ...] = ()
+        self._in_progress: tuple[Waiting, ...] = ()
         self._holds_reader = False
         # Set by a frame that waits; until when further ones are waited for.
         self._arrived = False
@@ -81,7 +84,7 @@ class Inbox:
         # A client has the threads for half of the time at most.
         self._next_job_s = 0.0
         # Stops and cancels that came faster than the lane is worked off.
-        self._stops: deque[_Waiting] = deque()
+        self._stops: deque[Waiting] = deque()
         self._next_stop_s = 0.0
         self._closed = False
 
@@ -106,10 +109,11 @@ class Inbox:
         if self._closed:
             return
         until_s = self._turns.until_s() if self.empty and not self._session.congested else None
-        received = _Waiting(frame, len(frame), STOP_EPOCHS.present)
+        received = Waiting(frame, len(frame), STOP_EPOCHS.present)
         if len(frame) >= LONG_FRAME_BYTES:
             if until_s is not None and isinstance(frame, str) and self.client.identified and is_light(frame):
-                self._begin(received, frame, until_s, light=True)
+                received.light = True
+                self._begin(received, frame, until_s)
             else:
                 self._add_frame(received, frame)
         elif not self._unread_frames and isinstance(frame, str) and (strict := self.client.read_strictly(frame)):
@@ -157,18 +161,18 @@ class Inbox:
             self._transport.release_reading()
         self._holds_reader = full
 
-    def _begin(self, received: _Waiting, frame: str | bytes, until_s: float, *, light: bool = False) -> None:
-        items = self.client.read(frame, light=light)
+    def _begin(self, received: Waiting, frame: str | bytes, until_s: float) -> None:
+        items = self.client.read(frame)
         if len(items) == 1 and not isinstance(items[0], Packed):
             # The quick way of nearly every frame.
             received.item = items[0]
-            self._carry_out(received, items[0], light=light)
+            self._carry_out(received, items[0])
             return
         self._put_first(_read_of(received, items))
         if self.work(until_s):
             self._turns.add(self)
 
-    def _add(self, waiting: _Waiting) -> None:
+    def _add(self, waiting: Waiting) -> None:
         if not isinstance(waiting.item, StrictPublication):
             if not self._waiting:
                 self._read_ahead_until_s = self._clock() + READ_AHEAD_S
@@ -179,13 +183,13 @@ class Inbox:
         if not self._in_progress:
             self._turns.add(self)
 
-    def _put_first(self, read: Sequence[_Waiting]) -> None:
+    def _put_first(self, read: Sequence[Waiting]) -> None:
         """Let operations of one frame wait before all others; stops among them go ahead."""
         left = [each for each in read if not (self.client.identified and self._take_ahead(each))]
         self._waiting.extendleft(reversed(left))
         self._count(sum(each.size_bytes for each in left))
 
-    def _add_frame(self, received: _Waiting, frame: str | bytes) -> None:
+    def _add_frame(self, received: Waiting, frame: str | bytes) -> None:
         """Let a frame wait unread; a stop in a frame of its own goes ahead."""
         urgent = len(frame) < LONG_FRAME_BYTES and self.client.identified and _may_be_urgent(frame)
         if urgent and (operation := self._session.peek(frame)):
@@ -200,7 +204,7 @@ class Inbox:
 
     # The lane for stops.
 
-    def _take_ahead(self, waiting: _Waiting) -> bool:
+    def _take_ahead(self, waiting: Waiting) -> bool:
         """Take a stop or a cancel into its lane; return False for any other operation, which waits for its turn."""
         operation = waiting.item
         if waiting.repeated or not isinstance(operation, Operation) or not self.client.is_urgent(operation):
@@ -252,14 +256,14 @@ class Inbox:
         else:
             self._carry_out(first, item)
 
-    def _carry_out(self, waiting: _Waiting, item: Operation | Refusal, *, light: bool = False) -> None:
+    def _carry_out(self, waiting: Waiting, item: Operation | Refusal) -> None:
         try:
             with arrived_in(waiting.epoch):
-                self.client.carry_out(item, waiting.size_bytes, waiting.message, light=light)
+                self.client.carry_out(item, waiting)
         except PostponedError as postponed:
             self._complete(waiting, postponed)
 
-    def _complete(self, waiting: _Waiting, postponed: PostponedError) -> None:
+    def _complete(self, waiting: Waiting, postponed: PostponedError) -> None:
         """Complete the message of an operation in the background, and carry the operation out next."""
         waiting.message = postponed.message
         waiting.completions += 1
@@ -273,7 +277,7 @@ class Inbox:
 
         self._run(complete, waiting)
 
-    def _run(self, job: Callable[[], Sequence[Operation | Refusal | Packed] | None], waiting: _Waiting) -> None:
+    def _run(self, job: Callable[[], Sequence[Operation | Refusal | Packed] | None], waiting: Waiting) -> None:
         """Have a thread work on what was the first; put it, or what was read of it, before all that waits."""
         self._in_progress = (waiting,)
 
@@ -309,7 +313,7 @@ class Inbox:
         else:
             begin()
 
-    def _end_job(self, waiting: _Waiting) -> None:
+    def _end_job(self, waiting: Waiting) -> None:
         self._in_progress = ()
         if isinstance(waiting.item, str | bytes):
             self._unread_frames -= 1
@@ -322,5 +326,5 @@ def _may_be_urgent(frame: str | bytes) -> bool:
     return b"stop" in frame or b"cancel" in frame
 
 
-def _read_of(frame: _Waiting, items: Sequence[Operation | Refusal | Packed]) -> list[_Waiting]:
-    return [_Waiting(item, frame.size_bytes, frame.epoch) for item in items]
+def _read_of(frame: Waiting, items: Sequence[Operation | Refusal | Packed]) -> list[Waiting]:
+    return [Waiting(item, frame.size_bytes, frame.epoch) for item in items]

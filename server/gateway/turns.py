@@ -11,7 +11,7 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -97,10 +97,10 @@ class Threads:
             result = job()
             return result, time.thread_time() - began_s
 
-        def finish(future: Future[tuple[Done, float]]) -> None:
+        def finish(future: asyncio.Future[tuple[Done, float]]) -> None:
+            error = None if future.cancelled() else future.exception()
             if self._closed:
                 return
-            error = future.exception()
             if error is None:
                 done(*future.result())
             else:
@@ -108,10 +108,7 @@ class Threads:
                 failed()
 
         if not self._closed:
-            loop = asyncio.get_running_loop()
-            self._executor.submit(timed).add_done_callback(
-                lambda ended: None if self._closed else loop.call_soon_threadsafe(finish, ended)
-            )
+            asyncio.get_running_loop().run_in_executor(self._executor, timed).add_done_callback(finish)
 
     def encode(self, encoded: EncodedMessage, ready: Callable[[], None]) -> None:
         """Encode a message, once for all who ask; ``ready`` is called in the event loop, also on failure."""

@@ -58,9 +58,6 @@ class UnreadSocket:
         self.held = False
         self.closed: str | None = None
 
-    def send_at_once(self, encoded: EncodedMessage) -> bool:
-        return False
-
     def wake(self) -> None:
         """What is queued is collected."""
 

@@ -153,6 +153,10 @@ class Clients(RuleBasedStateMachine):
         self.budget = SendBudget(50_000)
         self.clients: list[tuple[SendQueue, list[Subscription]]] = []
         self.encoding: list[EncodedMessage] = []
+        # What each message was sent by, and its number; the number of the last that was taken of each.
+        self.lanes: dict[EncodedMessage, tuple[object, int]] = {}
+        self.last: dict[object, int] = {}
+        self.numbers = itertools.count()
         self.now = 0.0
         self.come()
 
@@ -180,6 +184,7 @@ class Clients(RuleBasedStateMachine):
     def send(self, number: int, kind: str | int, size_bytes: int, at_once: bool) -> None:
         queue, subscriptions = self.pick(number)
         message = encoded(size_bytes) if at_once else later(size_bytes)
+        self.lanes[message] = subscriptions[kind] if isinstance(kind, int) else queue, next(self.numbers)
         if isinstance(kind, int):
             queue.put_topic_data(subscriptions[kind], message, self.now)
         else:
@@ -187,7 +192,10 @@ class Clients(RuleBasedStateMachine):
 
     @rule(number=numbers, size_bytes=sizes)
     def read(self, number: int, size_bytes: int) -> None:
-        self.pick(number)[0].take_due(self.now, size_bytes)
+        taken = [self.lanes.pop(message) for message in self.pick(number)[0].take_due(self.now, size_bytes)]
+        for lane, place in taken:
+            assert place > self.last.get(lane, -1)
+            self.last[lane] = place
 
     @rule(number=numbers, which=numbers, end=st.booleans())
     def change_or_end_a_subscription(self, number: int, which: int, end: bool) -> None:

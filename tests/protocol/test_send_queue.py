@@ -1,6 +1,4 @@
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from protocol.errors import MessageError
 from protocol.limits import Limits
@@ -153,41 +151,6 @@ def test_one_request_and_one_reply_may_have_any_size_and_take_no_room_from_each_
     assert not box.overflowed
     reply(box, b"2")
     assert box.overflowed
-
-
-steps = st.lists(st.tuples(st.sampled_from("abcdr-"), st.integers(min_value=0, max_value=600)), max_size=80)
-
-
-@given(steps)
-def test_order_and_bound_hold_whatever_comes(actions):
-    limit_bytes = 2000
-    box = send_queue(max_queued_bytes=limit_bytes, max_queued_reply_bytes=1_000_000)
-    lanes = {
-        "a": Subscription("/a"),
-        "b": Subscription("/b", queue_length=2),
-        "c": Subscription("/c", throttle_s=0.3, queue_length=3),
-        "d": Subscription("/d", throttle_s=0.3, queue_length=100),
-    }
-    count_put = took = 0
-    last_of = dict.fromkeys("abcdr", -1)
-    for number, (action, size) in enumerate(actions):
-        if action == "r":
-            reply(box, b"r %d" % number)
-        elif action in lanes:
-            count_put += 1
-            put(box, lanes[action], b"%s %d %s" % (action.encode(), number, b"x" * size))
-        else:
-            marks = [frame.decode().split()[:2] for frame in taken(box, number / 10)]
-            numbers = [int(mark) for _, mark in marks]
-            assert numbers == sorted(numbers)
-            for lane, mark in marks:
-                assert int(mark) > last_of[lane]
-                last_of[lane] = int(mark)
-                took += lane != "r"
-        count = len(box._free) + len(box._bulky) + len(box._paced)
-        assert box._bytes["topic data"] <= limit_bytes or count == 1
-        assert count_put == took + box.dropped + count
-        assert sum(map(len, box._waiting.values())) == count
 
 
 def test_a_budget_is_kept_to_within_one_message_and_the_rest_leaves_later_in_order(free, other):

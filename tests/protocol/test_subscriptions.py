@@ -52,11 +52,6 @@ def test_the_least_throttle_queue_and_fragment_size_of_several_ids_serve_all():
     assert table.get("/a").fragment_size is None
 
 
-def test_messages_queued_for_a_closed_subscription_are_due_at_once():
-    subscription = Subscription("/a", throttle_s=10.0, queue_length=4, last_sent_s=5.0, closed=True)
-    assert subscription.due_count(3, 5.0) == 3
-
-
 @given(st.floats(min_value=0.001, max_value=10.0), st.lists(st.floats(min_value=0.0, max_value=1.0), max_size=50))
 def test_admitted_messages_are_never_closer_than_the_throttle(throttle_s, gaps_s):
     subscription = Subscription("/a", throttle_s=throttle_s)

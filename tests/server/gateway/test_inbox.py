@@ -19,7 +19,7 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE
 from server.arrival import arrival_epoch
 from server.gateway.client_topics import StrictPublication, StrictTopic
-from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, STOP_TURN_S, Inbox
+from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, STOP_TURN_S, Inbox, Waiting
 from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, ClientScheduling, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from tests.helpers.clock import FakeClock
@@ -96,8 +96,8 @@ class Handler:
         )
         self.inbox = Inbox(self, context)
 
-    def read(self, frame: str | bytes, *, light: bool = False) -> Sequence[Operation | Refusal | Packed]:
-        return self.session.receive_frame(frame, self._world.clock(), light=light)
+    def read(self, frame: str | bytes) -> Sequence[Operation | Refusal | Packed]:
+        return self.session.receive_frame(frame, self._world.clock())
 
     def read_strictly(self, frame: str) -> StrictPublication | None:
         operation = self.session.peek(frame)
@@ -112,11 +112,9 @@ class Handler:
         self._world.clock.advance(self._step_s)
         return True
 
-    def carry_out(
-        self, item: Operation | Refusal, size_bytes: int, message: ReceivedMessage | None, *, light: bool = False
-    ) -> None:
+    def carry_out(self, item: Operation | Refusal, waiting: Waiting) -> None:
         if isinstance(item, Publish) and item.topic == "/large":
-            received = message or ReceivedMessage(item.msg, size_bytes)
+            received = waiting.message or ReceivedMessage(item.msg, waiting.size_bytes)
             if received.completed("std_msgs/msg/String") is None:
                 raise PostponedError(received, "std_msgs/msg/String")
         if isinstance(item, Publish) and item.topic == "/stop":

@@ -13,7 +13,6 @@ from protocol.publication import EncodedMessage
 from server.gateway import connection
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
-from server.gateway.transport import Transport
 from server.gateway.turns import Threads, encode_or_log
 from server.graph.node import Node
 from server.graph.topics import Graph
@@ -91,18 +90,6 @@ async def test_large_answers_that_come_at_once_all_arrive(monkeypatch: pytest.Mo
         assert {answer["id"] for answer in answers if answer["result"]} == {str(number) for number in range(30)}
 
 
-async def test_a_large_answer_counts_until_it_has_been_read() -> None:
-    async with world_with() as world:
-        world.graph.services.offer(TALKER, "/s", "std_srvs/Trigger", lambda _: {"message": "x" * 20_000_000})
-        client = await world.deaf()
-        await say(client, "call_service", service="/s")
-        await until(lambda: world.listener.traffic.counts().sent_bytes > 20_000_000)
-        assert world.used_bytes > 20_000_000
-        client.transport.resume_reading()
-        assert (await receive(client))["result"]
-        await until(lambda: world.used_bytes == 0)
-
-
 async def test_a_message_that_was_encoded_for_longer_than_it_may_wait_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
     def encode_late(_: Threads, encoded: EncodedMessage, _ready: Callable[[], None]) -> None:
         # As on a busy machine: the event loop looks at what waits before it learns that the message is there.
@@ -134,18 +121,6 @@ async def test_clients_that_leave_return_what_waited_for_them() -> None:
                 client.transport.abort()
             await until(lambda: not world.listener.traffic.clients)
             assert world.used_bytes == 0
-
-
-async def test_a_message_that_has_waited_for_many_clients_is_in_memory_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    sent: list[EncodedMessage] = []
-    monkeypatch.setattr(Transport, "send_at_once", lambda _self, _encoded: False)
-    monkeypatch.setattr(Transport, "send_all", lambda _self, messages: sent.extend(messages))
-    async with world_with() as world:
-        for _ in range(5):
-            await world.deaf()
-        world.publish(2, 1_000_000)
-        await until(lambda: len(sent) == 10)
-        assert len({id(piece) for encoded in sent for piece in encoded.wire if len(piece) > 1_000_000}) == 2
 
 
 async def test_answers_that_stay_in_the_sockets_of_clients_that_do_not_read_close_them_and_nobody_else() -> None:

@@ -129,7 +129,7 @@ class ArmGoals(Feature):
             controller.take_state(state)
 
     def _offer(self, arm: ArmContext) -> None:
-        """Offer goals of one arm; those of several are published by the names of each arm that they move as well."""
+        """Offer goals of an arm; goals of several arms are published by the names of each arm that they move too."""
         graph, goals, planning = arm.graph, arm.goals, arm.planning
         goals.queue.listeners.append(GoalStatusTopics(graph, arm.node, planning.robot, arm.only_joints))
         GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)

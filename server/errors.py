@@ -81,12 +81,12 @@ def sentence_of(flaw: Mapping[str, Any]) -> str:
     return str(flaw["msg"]).removeprefix("Value error, ")
 
 
-def answering(work: Callable[[dict[str, Any]], Mapping[str, Any]]) -> Callable[[dict[str, Any]], Mapping[str, Any]]:
-    """Return a service that answers a refusal by its fields ``success`` and ``message``."""
+def answering(work: Callable[[dict[str, Any]], str]) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """Return a service that answers by ``success`` and ``message``: the sentence that work returns, or a refusal's."""
 
-    def serve(request: dict[str, Any]) -> Mapping[str, Any]:
+    def serve(request: dict[str, Any]) -> dict[str, Any]:
         try:
-            return work(request)
+            return {"success": True, "message": work(request)}
         except (ServerError, RobotError) as error:
             return {"success": False, "message": str(error)}
 

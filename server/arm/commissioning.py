@@ -19,7 +19,7 @@ from robot.messages import ArmHealth, ArmState
 from server.errors import ServiceError, answering
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.permissions import COMMISSIONING, CONFIGURING, Rule
+from server.graph.permissions import COMMISSIONING, CONFIGURING
 from server.lifecycle import end_task
 
 log = logging.getLogger("armbridge.commissioning")
@@ -162,9 +162,10 @@ class Commissioning:
         self._shown_at_s = -math.inf
         self._health: ArmHealth | None = None
         graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/CommissioningState", latch=True)
-        self._offer(BEGIN, "armbridge_msgs/BeginCommissioning", self._begin, COMMISSIONING)
-        self._offer(ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer, COMMISSIONING)
-        self._offer(CANCEL, "std_srvs/Trigger", self._cancel, CONFIGURING)
+        begin, answer = answering(self._begin), answering(self._answer)
+        graph.offer(self._node, BEGIN, "armbridge_msgs/BeginCommissioning", begin, rule=COMMISSIONING)
+        graph.offer(self._node, ANSWER, "armbridge_msgs/AnswerCommissioning", answer, rule=COMMISSIONING)
+        graph.offer(self._node, CANCEL, "std_srvs/Trigger", answering(self._cancel), rule=CONFIGURING)
         self._show()
 
     def take_state(self, state: ArmState) -> None:
@@ -181,10 +182,6 @@ class Commissioning:
 
     async def close(self) -> None:
         await end_task(self._task)
-
-    def _offer(self, name: str, type_name: str, work: Callable[[dict[str, Any]], str], rule: Rule) -> None:
-        serve = answering(lambda request: {"success": True, "message": work(request)})
-        self._graph.offer(self._node, name, type_name, serve, rule=rule)
 
     def _begin(self, request: dict[str, Any]) -> str:
         if self._dialogue is not None:

@@ -131,7 +131,7 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
         else:
             log.warning("%s: data must be 0 to 1, a share of the planned speed, not %s", SPEED_FACTOR_TOPIC, factor)
 
-    def set_limit(request: ServiceFields) -> ServiceFields:
+    def set_limit(request: ServiceFields) -> str:
         limit = request["speed_limit"]
         if not MIN_SPEED_LIMIT <= limit <= 1.0:
             raise ServiceError(
@@ -140,16 +140,16 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
             )
         log.info("%s: speed limit %g, before %g", graph.resolve(SPEED_LIMIT), limit, arm.state.pace.speed_limit)
         arm.change_pace(ChangePace(speed_limit=limit))
-        return {"success": True, "message": f"no joint is faster than {limit:.0%} of its velocity limit"}
+        return f"no joint is faster than {limit:.0%} of its velocity limit"
 
     def offer(name: str, direction: PlaybackDirection, rule: Rule) -> None:
-        def serve(_request: ServiceFields) -> ServiceFields:
+        def change(_request: ServiceFields) -> str:
             if not moves(arm):
                 raise ServiceError(f"no motion is in progress: the arm is {arm.state.mode.value}")
             arm.change_pace(ChangePace(direction=direction))
-            return {"success": True, "message": _SENTENCES[direction].format(prefix=graph.resolve(""))}
+            return _SENTENCES[direction].format(prefix=graph.resolve(""))
 
-        graph.offer(node, name, "std_srvs/Trigger", answering(serve), rule=rule)
+        graph.offer(node, name, "std_srvs/Trigger", answering(change), rule=rule)
 
     rejected = functools.partial(log.warning, "%s: %s", SPEED_FACTOR_TOPIC)
     graph.subscribe(node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", Subscriber(set_speed, rejected, rule=SWITCHING))

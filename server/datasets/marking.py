@@ -197,14 +197,14 @@ class EpisodeServices:
         status = {"level": level, "name": "episodes", "message": message, "values": key_values(values)}
         self._graph.publish(self._node, STATE, status)
 
-    def _start(self, request: dict[str, Any]) -> dict[str, Any]:
+    def _start(self, request: dict[str, Any]) -> str:
         mark = Mark(START, checked_task(request["task"]))
         if self._marks.open is not None:
             raise ServiceError(f"an episode is in progress: end it first ({STOP_SERVICE} or {DISCARD_SERVICE})")
         self._publish(mark)
         return self._answer(f"episode {len(self._marks.ended) + 1} has begun")
 
-    def _stop(self, _request: dict[str, Any]) -> dict[str, Any]:
+    def _stop(self, _request: dict[str, Any]) -> str:
         if self._marks.open is None:
             raise ServiceError(f"no episode is in progress: {START_SERVICE} begins one")
         begun_s, silences = self._marks.open.start_s, self._silences()
@@ -212,7 +212,7 @@ class EpisodeServices:
         ended = f"episode {len(self._marks.ended)} has ended after {self._clock() - begun_s:.1f} s"
         return self._answer(f"{ended}. It {silences}" if silences else ended)
 
-    def _discard(self, _request: dict[str, Any]) -> dict[str, Any]:
+    def _discard(self, _request: dict[str, Any]) -> str:
         if self._marks.open is None and not self._marks.ended:
             raise ServiceError("there is no episode to discard")
         which = "the episode in progress" if self._marks.open is not None else "the last episode"
@@ -222,7 +222,5 @@ class EpisodeServices:
     def _publish(self, mark: Mark) -> None:
         self._graph.publish(self._node, EPISODE_TOPIC, {"data": mark.text})
 
-    def _answer(self, message: str) -> dict[str, Any]:
-        if not self._recording():
-            message = f"{message}, but {NOT_RECORDED}"
-        return {"success": True, "message": message}
+    def _answer(self, message: str) -> str:
+        return message if self._recording() else f"{message}, but {NOT_RECORDED}"

@@ -188,7 +188,7 @@ class Cameras(Feature):
         pose = each.pose
         return each, replace(before[1], position_m=pose.position_m, orientation=pose.orientation)
 
-    def _set(self, request: Message) -> Message:
+    def _set(self, request: Message) -> str:
         name = request["name"]
         if self._failure:
             raise CameraError(self._failure)
@@ -199,15 +199,15 @@ class Cameras(Feature):
         settings = {key: value for key, value in request.items() if value and key != "name"}
         camera = PublishedCamera(read_camera(self._robot, settings), f"/{name}/image/compressed")
         self._change(name, camera)
-        return {"success": True, "message": f"{name} is on {', '.join(camera.topics)}"}
+        return f"{name} is on {', '.join(camera.topics)}"
 
-    def _remove(self, request: Message) -> Message:
+    def _remove(self, request: Message) -> str:
         name = request["name"]
         if name not in self._cameras:
             known = ", ".join(self._cameras) or "none"
             raise CameraError(f"there is no camera {name!r}; there are: {known}")
         self._change(name, None)
-        return {"success": True, "message": f"{name} is removed"}
+        return f"{name} is removed"
 
     def _change(self, name: str, camera: PublishedCamera | None) -> None:
         frames = {each.optical_frame for each in self._cameras.values()}

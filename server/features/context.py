@@ -28,7 +28,7 @@ from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator
 from server.moveit.goals.goal_topics import Confirmation
-from server.moveit.named_states import NamedStates, NamedStatesFile, default_path
+from server.moveit.named_states import NamedStates, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import planning_group
 from server.moveit.requests.planning_context import PlanningContext
@@ -63,8 +63,8 @@ class Goals(GoalListener):
         self.executors = GoalExecutors(arm, execution)
         self.queue = GoalQueue(self.executors, goals.policy, goals.capacity)
         self.queue.listeners.append(self)
-        file = NamedStatesFile(goals.named_states_file or default_path("named_states", robot, os.environ))
-        self.named_states = NamedStates(robot, planning.problems.group("").name, file)
+        path = goals.named_states_file or default_path("named_states", robot, os.environ)
+        self.named_states = NamedStates(robot, planning.problems.group("").name, path)
         self.counters = GoalCounters()
 
     def on_answer(self, goal: Goal, answer: Answer) -> None:

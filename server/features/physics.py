@@ -153,7 +153,7 @@ class Physics(Feature):
         for name, type_name, serve in (
             ("set_body", SET_BODY_TYPE, answering(self._set_body)),
             ("set_pose", "armbridge_msgs/srv/SetBodyPose", answering(self._set_pose)),
-            ("reset", "std_srvs/srv/Trigger", self._reset),
+            ("reset", "std_srvs/srv/Trigger", answering(self._reset)),
             ("pause", "std_srvs/srv/SetBool", self._pause),
             ("step", "armbridge_msgs/srv/StepSimulation", self._step),
         ):
@@ -293,7 +293,7 @@ class Physics(Feature):
             return body_of(each)
         return replace(body_of(each), movable=True, mass_kg=movable.mass_kg, friction=movable.friction)
 
-    def _set_body(self, request: dict[str, Any], mover: str | None = None) -> Message:
+    def _set_body(self, request: dict[str, Any], mover: str | None = None) -> str:
         name = request["id"]
         each = self._scene.contents.objects.get(name)
         if each is None:
@@ -302,7 +302,7 @@ class Physics(Feature):
             raise ServiceError(f"physics has {MAX_BODIES} objects at most, and {name!r} is left out")
         self._note_movable(request, each, mover)
         self._send({**self._bodies, name: self._body_of(each)}, {})
-        return {"success": True, "message": f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"}
+        return f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"
 
     def _note_movable(self, request: Message, each: CollisionObject, mover: str | None = None) -> None:
         """Note figures of a body, which the nearest arm moves for None; raises ServiceError for wrong ones."""
@@ -342,21 +342,21 @@ class Physics(Feature):
         self._scene.apply(SceneChange(change, 0), self._current.positions_rad())
         self._follow_scene()
 
-    def _reset(self, _request: dict[str, Any]) -> Message:
+    def _reset(self, _request: dict[str, Any]) -> str:
         if self._world is not None:
             self._reload_world(*self._world)
         movable = [body for body in self._bodies.values() if body.movable]
         self._place({body.name: _pose(body) for body in movable})
-        return {"success": True, "message": f"put back: {', '.join(body.name for body in movable) or 'nothing'}"}
+        return f"put back: {', '.join(body.name for body in movable) or 'nothing'}"
 
-    def _set_pose(self, request: dict[str, Any]) -> Message:
+    def _set_pose(self, request: dict[str, Any]) -> str:
         name = request["id"]
         if name not in self._bodies:
             raise ServiceError(f"the physics has no object {name!r}")
         if not self._bodies[name].movable:
             raise ServiceError(f"{name!r} stays where it is: move it in the planning scene, or make it movable first")
         self._place({name: read_bounded_pose(request["pose"], "pose")})
-        return {"success": True, "message": f"{name} is put there"}
+        return f"{name} is put there"
 
     def _place(self, poses: Mapping[str, Pose]) -> None:
         """Put movable bodies at poses now, out of the fingers too."""

@@ -57,17 +57,18 @@ Change: TypeAlias = Callable[[States], States]
 class NamedStates:
     """Store of states by name, whose case and blanks do not matter; wrong changes raise ServiceError.
 
-    There are ``described`` states of the SRDF, for one planning group, and states that users ``saved``.
+    There are ``described`` states of the SRDF, for one planning group, and states that users ``saved``, in a JSON file:
+    joint positions by state and joint [rad]. Several servers may share the file.
     """
 
-    def __init__(self, robot: RobotModel, group: str, file: NamedStatesFile) -> None:
+    def __init__(self, robot: RobotModel, group: str, path: Path) -> None:
         self._joints = {joint.name: joint for joint in robot.movable_joints}
         self._states_of_groups = robot.named_states
         self.described: Mapping[str, Positions] = robot.named_states.get(group, {})
-        self._file = file
+        self._path = path
         self._changing = asyncio.Lock()
         self._listeners: list[Callable[[], None]] = []
-        self.saved = self._usable(file.load())
+        self.saved = self._usable(self._load())
 
     def names(self, group: str | None = None) -> list[str]:
         """Return the names of all states in alphabetical order; as :meth:`find`."""
@@ -140,7 +141,8 @@ class NamedStates:
 
     async def _change(self, change: Change) -> None:
         async with self._changing:
-            self.saved = self._usable(await self._file.change(change))
+            states = await in_thread(self._path, "the state cannot be kept", lambda: self._write(change))
+            self.saved = self._usable(states)
         self._changed()
 
     def _changed(self) -> None:
@@ -173,6 +175,44 @@ class NamedStates:
                     f"state: the position of joint {joint_name} must be a finite number, not {position_rad}"
                 )
 
+    def _load(self) -> States:
+        """Read the states; rename an invalid file, and log it."""
+        try:
+            with contextlib.suppress(ValueError):
+                return self._read()
+            # Read once more under the lock: another server may have put a good file in its place.
+            with files.locked(self._path):
+                return self._read_or_set_aside()
+        except OSError as error:
+            log.warning("saved states in %s cannot be read, nor set aside: %s", self._path, error)
+            return {}
+
+    def _write(self, change: Change) -> States:
+        """Change the states in the file, also states of other servers; a crash leaves the old file or the new one."""
+        with files.locked(self._path):
+            states = change(self._read_or_set_aside())
+            files.replace(self._path, json.dumps({"states": states}, indent=1).encode())
+            return states
+
+    def _read(self) -> States:
+        try:
+            return _Content.model_validate(read_json(self._path, MAX_FILE_BYTES)).states
+        except FileNotFoundError:
+            return {}
+
+    def _read_or_set_aside(self) -> States:
+        """Read the states; rename an invalid file, whose lock is held."""
+        try:
+            return self._read()
+        except ValueError as error:
+            reason: object = error
+            if isinstance(error, ValidationError):
+                first = error.errors()[0]
+                reason = ": ".join((*(str(part) for part in first["loc"]), first["msg"]))
+            aside = set_aside(self._path)
+            log.warning("saved states in %s cannot be used: %s; the file is now %s", self._path, reason, aside)
+            return {}
+
 
 def _key(name: str) -> str:
     return "".join(name.split()).casefold()
@@ -198,57 +238,6 @@ def data_directory(environment: Mapping[str, str]) -> Path:
     """Return the directory of the server's files, in the XDG base directory for data."""
     home = Path(environment.get("HOME", "~")).expanduser()
     return Path(environment.get("XDG_DATA_HOME") or home / ".local/share") / "armbridge"
-
-
-class NamedStatesFile:
-    """JSON file of saved states: joint positions by state and joint [rad]. Several servers may share it."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def load(self) -> States:
-        """Read the states; rename an invalid file, and log it."""
-        try:
-            return self._read()
-        except OSError as error:
-            log.warning("saved states cannot be read from %s: %s", self._path, error)
-        except ValueError:
-            # Read once more under the lock: another server may have put a good file in its place.
-            try:
-                with files.locked(self._path):
-                    return self._read_or_set_aside()
-            except OSError as error:
-                log.warning("saved states in %s cannot be used, nor set aside: %s", self._path, error)
-        return {}
-
-    async def change(self, change: Change) -> States:
-        """Change the states in the file, also states of other servers; a crash leaves the old file or the new one."""
-        return await in_thread(self._path, "the state cannot be kept", lambda: self._change(change))
-
-    def _change(self, change: Change) -> States:
-        with files.locked(self._path):
-            states = change(self._read_or_set_aside())
-            files.replace(self._path, json.dumps({"states": states}, indent=1).encode())
-            return states
-
-    def _read(self) -> States:
-        try:
-            return _Content.model_validate(read_json(self._path, MAX_FILE_BYTES)).states
-        except FileNotFoundError:
-            return {}
-
-    def _read_or_set_aside(self) -> States:
-        """Read the states; rename an invalid file, whose lock is held."""
-        try:
-            return self._read()
-        except ValueError as error:
-            reason: object = error
-            if isinstance(error, ValidationError):
-                first = error.errors()[0]
-                reason = ": ".join((*(str(part) for part in first["loc"]), first["msg"]))
-            aside = set_aside(self._path)
-            log.warning("saved states in %s cannot be used: %s; the file is now %s", self._path, reason, aside)
-            return {}
 
 
 class NamedStatesServices:

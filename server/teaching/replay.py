@@ -14,15 +14,15 @@ from planners.problem import JointPathProblem, MoveItErrorCode
 from robot.description.model import RobotModel
 from robot.description.srdf import Group
 from server.errors import RefusedError, ServiceError, invalid
-from server.execution.goal import Answer, Progress
+from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import MotionStep, PlannedMotion, Positions
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Graph
-from server.moveit.actions.goal_bridge import reject_goal, submit_goal
-from server.moveit.messages import Message, error_code
+from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
+from server.moveit.messages import error_code
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import GoalStep
 from server.teaching.services import CHECK_TIME_S
@@ -54,16 +54,21 @@ def offer_replay(graph: Graph, planning: PlanningContext, motions: MotionFiles, 
             reject_goal(goal, queue, invalid(str(error)).failure, result)
         else:
 
-            def explained(answer: Answer) -> dict[str, Any]:
-                """Write the result, and log where the replay was slower than asked for."""
+            def send_feedback(progress: Progress) -> None:
+                fields = {"fraction": progress.fraction, "remaining_s": progress.remaining_s}
+                goal.feedback({"state": progress.state.value, **fields})
+
+            def end(answer: Answer) -> None:
+                """End the goal, and log where the replay was slower than asked for."""
                 made = () if answer.performed is None else answer.performed.planned
                 slowed = taught.slowed(speed, made[-1], planning.robot) if made else ""
                 if slowed:
                     log.info("the replay of %r took %s", name, slowed)
-                return result(answer, f"; it took {slowed}" if slowed else "")
+                send_feedback(Progress(GoalState.DONE, answer.message))
+                goal.finish(goal_status(answer.code), result(answer, f"; it took {slowed}" if slowed else ""))
 
             if not goal.ended:
-                submit_goal(goal, queue, motion, feedback, explained)
+                submit_goal(goal, queue, motion, send_feedback, end)
 
     def start(goal: ActionGoal) -> None:
         task = asyncio.create_task(submit(goal), name="a replay")
@@ -105,10 +110,6 @@ def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:
     if left:
         raise invalid(f"the motion has joints that make no group without others: {', '.join(sorted(left))}")
     return chosen
-
-
-def feedback(progress: Progress) -> Message:
-    return {"state": progress.state.value, "fraction": progress.fraction, "remaining_s": progress.remaining_s}
 
 
 def result(answer: Answer, note: str = "") -> dict[str, Any]:

@@ -29,7 +29,7 @@ from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_messages import GoalTranslator
-from server.moveit.named_states import NamedStates, NamedStatesFile
+from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import RequestContext
 from server.moveit.requests.planning_context import PlanningContext
@@ -197,7 +197,7 @@ def planning_of(
 
 def translator(arm: FakeArm | None = None, robot: RobotModel = ROBOT, **parameters: Any) -> GoalTranslator:
     """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
-    states = NamedStates(robot, robot.default_group, NamedStatesFile(Path("/no file")))
+    states = NamedStates(robot, robot.default_group, Path("/no file"))
     states.saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
     return GoalTranslator(planning_of(arm or FakeArm(), robot, **parameters), MoveItParameters(**parameters), states)
 

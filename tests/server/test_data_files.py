@@ -10,7 +10,7 @@ import pytest
 from server.config import Settings
 from server.features.moveit import kept_scene_path
 from server.graph.message_types import MessageTypes
-from server.moveit.named_states import NamedStatesFile
+from server.moveit.named_states import NamedStates
 from server.moveit.scene.saved_scene import complete_scene
 from server.named_files import FileSeries, read_json, set_aside
 from server.teaching.taught_motion import MotionFiles
@@ -34,8 +34,8 @@ def directory(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 
 
 async def test_saved_states_and_taught_motions_open(directory: Path) -> None:
-    states = NamedStatesFile(directory / "named_states_so101.json").load()
-    assert states == {"tray": {"shoulder_pan": 0.25, "elbow_flex": -0.5}}
+    states = NamedStates(ROBOT, "arm", directory / "named_states_so101.json")
+    assert states.saved == {"tray": {"shoulder_pan": 0.25, "elbow_flex": -0.5}}
     motion = await MotionFiles(directory, ROBOT).load("wave")
     assert motion.joint_names == ("shoulder_pan",)
     assert motion.positions_rad.tolist() == [[0.0], [0.1], [0.2]]
@@ -64,7 +64,7 @@ def test_an_arm_its_simulation_and_each_set_of_arms_keep_a_scene_of_their_own(se
 def test_states_of_an_unknown_kind_are_set_aside_and_kept(tmp_path: Path) -> None:
     states = tmp_path / "named_states.json"
     states.write_text('{"states": [{"name": "tray"}]}')
-    assert NamedStatesFile(states).load() == {}
+    assert NamedStates(ROBOT, "arm", states).saved == {}
     assert (tmp_path / "named_states.json.broken").read_text() == '{"states": [{"name": "tray"}]}'
 
 

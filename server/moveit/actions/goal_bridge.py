@@ -1,11 +1,12 @@
-"""Bridge between actions and the goal queue: goals in, the queue's answers back as feedback and results."""
+"""Bridge between actions and the goal queue: goals in, the queue's answers back as results."""
 
 import asyncio
+import functools
 import logging
 from collections.abc import Callable
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, Progress
 from server.execution.motions import Motion
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal, GoalStatus
@@ -17,32 +18,22 @@ log = logging.getLogger("armbridge.actions")
 def submit_goal(
     goal: ActionGoal,
     queue: GoalQueue,
-    request: Motion,
-    feedback: Callable[[Progress], Message | None],
-    result: Callable[[Answer], Message],
-) -> None:
-    """Submit the motion of a goal, in place of the present motion of the arm's group; feedback may be None for none."""
-
-    def send_feedback(progress: Progress) -> None:
-        message = feedback(progress)
-        if message is not None:
-            goal.feedback(message)
-
-    def end(answer: Answer) -> None:
-        send_feedback(Progress(GoalState.DONE, answer.message))
-        finish_goal(goal, answer, result)
-
-    queued = queue.submit(
-        GoalRequest(
-            goal.action,
-            request,
-            client=goal.sender,
-            policy=GoalPolicy.PREEMPT,
-            on_progress=send_feedback,
-            on_answer=end,
-        )
+    motion: Motion,
+    on_progress: Callable[[Progress], None],
+    on_answer: Callable[[Answer], None],
+) -> Goal:
+    """Submit the motion of a goal, in place of the present motion of the arm's group."""
+    request = GoalRequest(
+        goal.action,
+        motion,
+        client=goal.sender,
+        policy=GoalPolicy.PREEMPT,
+        on_progress=on_progress,
+        on_answer=on_answer,
     )
-    cancel_with_goal(goal, lambda reason: queue.cancel(queued.goal_id, reason))
+    queued = queue.submit(request)
+    cancel_with_goal(goal, functools.partial(queue.cancel, queued.goal_id))
+    return queued
 
 
 def answer_of_task(done: asyncio.Task[Answer]) -> Answer:

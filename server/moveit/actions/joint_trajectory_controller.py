@@ -28,7 +28,7 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
-from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
+from server.moveit.actions.goal_bridge import goal_status, submit_goal
 from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.requests.planning_problems import TRAJECTORY_LIMITS
@@ -111,7 +111,7 @@ class JointTrajectoryController:
         group: Group,
         arm: AnyArm,
         context: TrajectoryContext,
-        name: str | None = None,
+        name: str,
         *,
         industrial: bool,
     ) -> None:
@@ -122,7 +122,6 @@ class JointTrajectoryController:
         # Publisher on the topic whose latest trajectory was refused, and whose latest one failed after that.
         self._refused: object = None
         self._failed: object = None
-        name = group.name if name is None else name
         self._topic = f"/{name}_controller/joint_trajectory"
         self._stream = MessageStream(self._topic, context.clock)
         action = f"/{name}_controller/follow_joint_trajectory"
@@ -183,20 +182,13 @@ class JointTrajectoryController:
             if feedback is not None:
                 goal.feedback(feedback)
 
-        queued = self._queue.submit(
-            GoalRequest(
-                goal.action,
-                motion,
-                client=goal.sender,
-                policy=GoalPolicy.PREEMPT,
-                on_progress=send_feedback,
-                on_answer=lambda answer: trajectory_goal.take_answer(answer, self._arm.state),
-            )
-        )
-        number = queued.goal_id
-        self._goals[number] = trajectory_goal
-        goal.when_ended(lambda _result: self._goals.pop(number, None))
-        cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
+        def take_answer(answer: Answer) -> None:
+            trajectory_goal.take_answer(answer, self._arm.state)
+
+        number = submit_goal(goal, self._queue, motion, send_feedback, take_answer).goal_id
+        if not goal.ended:
+            self._goals[number] = trajectory_goal
+            goal.when_ended(lambda _result: self._goals.pop(number))
 
     def _play(self, published: PublishedMessage) -> None:
         """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm.

@@ -15,7 +15,7 @@ from server.errors import RefusedError, refused
 from server.execution.failures import with_nearest_goal
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.monitors import state_message
-from server.execution.motions import MotionStep, Performed, PlannedMotion, Positions, plan_sequence
+from server.execution.motions import Motion, MotionStep, Performed, PlannedMotion, Positions, plan_sequence
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.node import Node
@@ -44,7 +44,8 @@ MAX_ATTEMPTS = 100
 MAX_DELAY_S = 10.0
 
 # MoveIt's names of states (MoveGroupState in move_group); a goal that waits in the queue has none.
-MOVE_GROUP_STATES = {GoalState.PLANNING: "PLANNING", GoalState.EXECUTING: "MONITOR", GoalState.DONE: "IDLE"}
+PLANNING, IDLE = "PLANNING", "IDLE"
+MOVE_GROUP_STATES = {GoalState.PLANNING: PLANNING, GoalState.EXECUTING: "MONITOR"}
 
 
 @dataclass(frozen=True)
@@ -57,21 +58,6 @@ class PlanningGoal:
     delay_s: float
     scene_diff: Message | None
     warnings: tuple[str, ...]
-
-
-class MoveGroupFeedback:
-    """Maker of move_group's feedback: the name of the state whenever it changes."""
-
-    def __init__(self) -> None:
-        self._state = ""
-
-    def __call__(self, progress: Progress) -> Message | None:
-        """Make the feedback message of some progress; None if the state is the same."""
-        state = MOVE_GROUP_STATES.get(progress.state, "")
-        if state in ("", self._state):
-            return None
-        self._state = state
-        return {"state": state}
 
 
 def move_group_result(answer: Answer, robot: RobotModel) -> Message:
@@ -128,7 +114,7 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
                     motion = planned_motion(planning_goal, context)
                     for warning in motion.warnings:
                         log.warning("%s: %s", goal.action, warning)
-                    submit_goal(goal, queue, motion, MoveGroupFeedback(), result)
+                    _execute(goal, queue, motion, result)
             except RefusedError as error:
                 reject_goal(goal, queue, error.failure, result)
 
@@ -139,16 +125,31 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
     offer(SEQUENCE_ACTION, "MoveGroupSequence", lambda goal: sequence_requests(goal["request"]), sequence_result)
 
 
+def _execute(goal: ActionGoal, queue: GoalQueue, motion: Motion, result: Callable[[Answer], Message]) -> None:
+    """Submit the motion of a goal; its feedback is the name of the state, whenever that changes."""
+    named = ""
+
+    def send_feedback(progress: Progress) -> None:
+        nonlocal named
+        state = MOVE_GROUP_STATES.get(progress.state, named)
+        if state != named:
+            named = state
+            goal.feedback({"state": state})
+
+    submit_goal(goal, queue, motion, send_feedback, lambda answer: _finish(goal, answer, result))
+
+
+def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message]) -> None:
+    goal.feedback({"state": IDLE})
+    finish_goal(goal, answer, result)
+
+
 def _answer_with_plan(
     goal: ActionGoal, planning_goal: PlanningGoal, context: PlanningContext, result: Callable[[Answer], Message]
 ) -> None:
-    def end(planned: asyncio.Task[Answer]) -> None:
-        goal.feedback({"state": "IDLE"})
-        finish_goal(goal, answer_of_task(planned), result)
-
-    goal.feedback({"state": "PLANNING"})
+    goal.feedback({"state": PLANNING})
     task = asyncio.create_task(plan_only(planning_goal, goal.sender, context), name=f"plan for {goal.action}")
-    task.add_done_callback(end)
+    task.add_done_callback(lambda planned: _finish(goal, answer_of_task(planned), result))
     # The goal keeps the task alive, which the event loop does not.
     cancel_with_goal(goal, lambda _reason: task.cancel())
 
@@ -274,7 +275,7 @@ def offer_execute_trajectory(graph: Graph, context: TrajectoryContext) -> None:
         except RefusedError as error:
             reject_goal(goal, context.queue, error.failure, result)
         else:
-            submit_goal(goal, context.queue, external_motion(message, robot), MoveGroupFeedback(), result)
+            _execute(goal, context.queue, external_motion(message, robot), result)
 
     node, type_name = Node("execute trajectory"), "moveit_msgs/action/ExecuteTrajectory"
     graph.actions.offer(node, EXECUTE_ACTION, type_name, start, TRAJECTORY_LIMITS, rule=GOAL)

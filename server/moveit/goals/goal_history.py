@@ -109,17 +109,17 @@ class GoalHistory(GoalListener):
         record = self._records.get(goal_id)
         if record is None:
             text = f"goal_id: {goal_id[:40]!r} is not among the last {MAX_GOALS} goals that were answered"
-            return _response(success=False, message=text)
+            return {"success": False, "message": text}
         text = json.dumps(record.asked, default=str)[:MAX_ASKED_CHARACTERS]
-        return _response(
-            success=True,
-            asked=text,
-            planned=[to_message(motion, self._robot.root_link) for motion in record.planned],
-            duration_s=sum(motion.duration_s for motion in record.planned),
-            summary=record.summary,
-            planning_time_s=record.planning_time_s,
+        return {
+            "success": True,
+            "asked": text,
+            "planned": [to_message(motion, self._robot.root_link) for motion in record.planned],
+            "duration_s": sum(motion.duration_s for motion in record.planned),
+            "summary": record.summary,
+            "planning_time_s": record.planning_time_s,
             **await self._file(goal_id, record),
-        )
+        }
 
     async def _file(self, goal_id: str, record: GoalRecord) -> dict[str, str]:
         if record.problem is None:
@@ -150,8 +150,3 @@ def _problem(request: Motion | None, answer: Answer, scene: Scene) -> tuple[Plan
     except RefusedError:
         return None, scene
     return (problem if isinstance(problem, PlanningProblem) else None), planned_in
-
-
-def _response(**fields: Any) -> dict[str, Any]:
-    texts = dict.fromkeys(("message", "asked", "summary", "problem_name", "problem"), "")
-    return {**texts, "planned": [], "duration_s": 0.0, "planning_time_s": 0.0, **fields}

@@ -140,7 +140,8 @@ class ProblemBuilder:
         arc = request["path_constraints"]
         constraints = Constraints() if _names_arc(arc) else read_path_constraints(arc, context)
         velocity_scaling, acceleration_scaling = self._scalings(request, context)
-        allowed_time_s = _allowed_time_s(request["allowed_planning_time"], parameters, warnings)
+        time, attempts = parameters.allowed_planning_time, parameters.num_planning_attempts
+        allowed_time_s = _limited(request, "allowed_planning_time", MAX_ALLOWED_PLANNING_TIME_S, time, " s", warnings)
         problem = PlanningProblem(
             group=group.name,
             start_rad=start_rad,
@@ -148,7 +149,7 @@ class ProblemBuilder:
             velocity_scaling=velocity_scaling,
             acceleration_scaling=acceleration_scaling,
             allowed_time_s=allowed_time_s,
-            attempts=_attempts(request["num_planning_attempts"], parameters, warnings),
+            attempts=int(_limited(request, "num_planning_attempts", MAX_PLANNING_ATTEMPTS, attempts, "", warnings)),
             path_constraints=None if constraints.empty else constraints,
             planner_id=_planner_id(request["planner_id"], parameters, warnings) if pipeline == OMPL else "",
             optimization_time_s=parameters.shortening_time_s(allowed_time_s),
@@ -367,22 +368,14 @@ def _names_arc(constraints: Message) -> bool:
     return constraints["name"] in (INTERIM, CENTER)
 
 
-def _allowed_time_s(requested_s: float, parameters: MoveItParameters, warnings: list[str]) -> float:
-    if math.isnan(requested_s) or requested_s < 0.0:
-        raise invalid(f"allowed_planning_time must be 0 s or more, 0 for the configured time, not {requested_s:g}")
-    if requested_s > MAX_ALLOWED_PLANNING_TIME_S:
-        warnings.append(
-            f"allowed_planning_time {requested_s:g} s is taken as {MAX_ALLOWED_PLANNING_TIME_S:g} s, the limit"
-        )
-    return min(requested_s, MAX_ALLOWED_PLANNING_TIME_S) if requested_s > 0.0 else parameters.allowed_planning_time
-
-
-def _attempts(requested: int, parameters: MoveItParameters, warnings: list[str]) -> int:
-    if requested < 0:
-        raise invalid(f"num_planning_attempts must be 0 or more, 0 for the configured number, not {requested}")
-    if requested > MAX_PLANNING_ATTEMPTS:
-        warnings.append(f"num_planning_attempts {requested} is taken as {MAX_PLANNING_ATTEMPTS}, the limit")
-    return min(requested, MAX_PLANNING_ATTEMPTS) if requested > 0 else parameters.num_planning_attempts
+def _limited(request: Message, field: str, most: float, configured: float, unit: str, warnings: list[str]) -> float:
+    """Read a number that is limited; 0 is the configured one."""
+    value = request[field]
+    if math.isnan(value) or value < 0:
+        raise invalid(f"{field} must be 0{unit} or more, 0 for the configured one, not {value:g}")
+    if value > most:
+        warnings.append(f"{field} {value:g}{unit} is taken as {most:g}{unit}, the limit")
+    return min(value, most) if value > 0 else configured
 
 
 def _planner_id(requested: str, parameters: MoveItParameters, warnings: list[str]) -> str:

@@ -16,7 +16,7 @@ from server.execution.monitors import CurrentState, state_message
 from server.graph.list_limits import ListLimits
 from server.graph.node import Node
 from server.graph.permissions import LOOKING, WORKING
-from server.graph.services import Call, CompleteResponse
+from server.graph.services import Call, CompleteResponse, answer
 from server.graph.topics import Graph, Subscriber
 from server.moveit.messages import Message, write_pose, write_transform
 from server.moveit.parameters import MoveItParameters
@@ -279,25 +279,21 @@ class SceneInterface:
         self._state.close()
 
     def _get(self, call: Call) -> None:
-        async def get_settled() -> None:
+        async def get_settled() -> CompleteResponse:
             await self._state.settled()
-            self._respond(call)
+            return self._response(call)
 
-        if self._state.pending:
-            # As if the changes that have been sent before were quick.
-            task = asyncio.ensure_future(get_settled())
-            call.when_ended(lambda _response: task.cancel())
-        else:
-            self._respond(call)
+        # As if the changes that have been sent before were quick.
+        answer(call, lambda _request: get_settled() if self._state.pending else self._response(call))
 
-    def _respond(self, call: Call) -> None:
+    def _response(self, call: Call) -> CompleteResponse:
         assumed = self._assumed
         positions_rad = assumed.completed(assumed.of(call.caller), self._current.positions_rad()) or {}
         assumed.note_sent(call.caller, positions_rad)
         state = state_message(positions_rad, self._state.robot.root_link, self._current.stamp_s)
         components = call.request["components"]["components"]
         scene = scene_message(self._state.contents, self._state.robot, state, components)
-        call.succeed(CompleteResponse({"scene": scene}))
+        return CompleteResponse({"scene": scene})
 
     def _apply(self, call: Call) -> None:
         scene, caller, assumed = call.request["scene"], call.caller, self._assumed

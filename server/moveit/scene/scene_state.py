@@ -174,10 +174,7 @@ class SceneState(CurrentScene):
         try:
             while self._waiting:
                 change, positions_rad, done, ended = self._waiting[0]
-                if change.elements <= AT_ONCE_ELEMENTS and not ended():
-                    refusal = self._refusal(change, positions_rad)
-                else:
-                    refusal = await self._applied_in_thread(change, positions_rad, ended)
+                refusal = await self._applied_in_thread(change, positions_rad, ended)
                 self._waiting.popleft()
                 done(refusal)
         finally:

@@ -51,14 +51,8 @@ def options(*arguments):
             ("--port", "0", "--serial", "auto", "--log-level", "error"),
             {"server": {"port": "0", "log_level": "error"}, "arm": {"serial": "auto"}},
         ),
-        (
-            ("--record", "run.mcap", "--record-limit-mb", "200"),
-            {"recording": {"file": "run.mcap", "limit_mb": "200"}},
-        ),
-        (
-            ("--interfaces", "a_msgs", "--interfaces", "ws/src"),
-            {"server": {"interfaces": ["a_msgs", "ws/src"]}},
-        ),
+        (("--record", "run.mcap", "--record-limit-mb", "2"), {"recording": {"file": "run.mcap", "limit_mb": "2"}}),
+        (("--interfaces", "a_msgs", "--interfaces", "ws/src"), {"server": {"interfaces": ["a_msgs", "ws/src"]}}),
         # An option counts more than an assignment, which may be a table as TOML has it.
         (("--set", "server.port=1", "--port", "2"), {"server": {"port": "2"}}),
         (("--set", "arm.zero_offset_rad={elbow_flex=0.02}"), {"arm": {"zero_offset_rad": {"elbow_flex": 0.02}}}),

@@ -1,20 +1,16 @@
 import asyncio
 import gc
-import os
-import signal
-from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import numpy as np
 import pytest
-import pytest_asyncio
 
 from harness.waiting import TIMEOUT_S, until
 from planners.goals import JointGoal
 from planners.interface import Planners
-from planners.pool import PlannerPool
 from planners.problem import (
     ConcurrencyQuestion,
     MoveItErrorCode,
@@ -27,23 +23,19 @@ from planners.problem import (
     RecheckQuestion,
 )
 from planners.scene import Scene
-from robot.arm import Arm
-from robot.description.limits import within_calibration
-from robot.description.model import RobotModel
-from robot.hardware.config import EmulatedConfig, HardwareConfig, SerialConfig
-from robot.messages import ArmConfig, ArmState, Mode, MotionEnded, Outcome
+from robot.messages import ArmState, Mode, MotionEnded, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
+from server.execution import player
 from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
 from server.execution.failures import FailedGoals
 from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.monitors import CurrentScene, CurrentState
 from server.execution.motions import STATE_AGE_S, ExternalTrajectory, PathTime, PlannedMotion, Positions, SplicePoint
-from server.execution.player import MotionsInProgress
-from server.moveit.scene.scene_state import SceneState
+from server.execution.player import CODE_OF_OUTCOME, MotionsInProgress
 from tests.helpers.clock import FakeClock
-from tests.helpers.fake_arm import FakeArm, settle
+from tests.helpers.fake_arm import FakeArm, StubbornArm, settle
 from tests.helpers.motions import STILL, smooth_move
-from tests.helpers.robots import nominal_calibration, so101
+from tests.helpers.robots import so101
 from tests.helpers.steps import StepOf
 
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory
@@ -58,105 +50,8 @@ def to(group: str = "arm", **positions_rad: float) -> PlannedMotion:
     return PlannedMotion((step,), frozenset(so101().groups[group].joints))
 
 
-@dataclass
-class Rig:
-    """A motion on the real arm process, with emulated servos, and real planners."""
-
-    arm: Arm
-    pool: Planners
-    executor: GoalExecutor
-    news: list[Progress] = field(default_factory=list)
-
-    def hear(self, _goal: Goal, progress: Progress) -> None:
-        self.news.append(progress)
-
-    async def run(self, **positions_rad: float) -> Any:
-        self.goal = Goal("1", GoalRequest("/goal", to(**positions_rad)), self.hear)
-        return await self.executor.run(self.goal)
-
-    async def stop(self, state: GoalState, **positions_rad: float) -> Any:
-        """Return the answer to a goal that is stopped when it is in a state."""
-        self.news.clear()
-        running = asyncio.create_task(self.run(**positions_rad))
-        await until(lambda: any(progress.state is state for progress in self.news))
-        self.goal.cancel("stopped by a test")
-        return await asyncio.wait_for(running, TIMEOUT_S)
-
-
-def executor_of(arm: Arm, robot: RobotModel, pool: Planners) -> GoalExecutor:
-    context = ExecutionContext(robot, pool, SceneState(robot), CurrentState(arm, robot))
-    return GoalExecutor(arm, context, MotionsInProgress())
-
-
-# Planners load for a second: one arm and its planners serve all tests of the rig, and so show that they survive each.
-in_one_loop = pytest.mark.asyncio(loop_scope="module")
-
-
-@pytest_asyncio.fixture(scope="module", loop_scope="module")
-async def processes() -> AsyncIterator[tuple[Arm, Planners, RobotModel]]:
-    calibration = nominal_calibration()
-    robot = within_calibration(so101(), calibration)
-    arm = Arm(ArmConfig(robot, EmulatedConfig(calibration)), lambda _state: None)
-    await arm.start(TIMEOUT_S)
-    pool = PlannerPool(robot)
-    await pool.start()
-    yield arm, pool, robot
-    await arm.close()
-    await pool.close()
-
-
-@pytest.fixture
-def rig(processes: tuple[Arm, Planners, RobotModel]) -> Rig:
-    arm, pool, robot = processes
-    return Rig(arm, pool, executor_of(arm, robot, pool))
-
-
-@in_one_loop
-async def test_a_motion_is_planned_played_and_reported(rig: Rig) -> None:
-    answer = await rig.run(shoulder_pan=0.8)
-    assert answer.code is MoveItErrorCode.SUCCESS
-    states = [progress.state for progress in rig.news]
-    assert states[:2] == [GoalState.PLANNING, GoalState.EXECUTING]
-    fractions = [progress.fraction for progress in rig.news]
-    assert fractions == sorted(fractions)
-
-
-@in_one_loop
-async def test_a_stop_ends_planning_that_hangs(rig: Rig) -> None:
-    await rig.run(shoulder_pan=0.01)
-    hanging = rig.pool.pids
-    for pid in hanging:
-        os.kill(pid, signal.SIGSTOP)
-    answer = await rig.stop(GoalState.PLANNING, shoulder_pan=0.8)
-    for pid in set(hanging) & set(rig.pool.pids):
-        os.kill(pid, signal.SIGCONT)
-    assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "stopped by a test while planning")
-
-
-@in_one_loop
-@pytest.mark.parametrize("state", [GoalState.PLANNING, GoalState.EXECUTING])
-async def test_a_stop_at_any_moment_is_answered_and_leaves_the_arm_holding(rig: Rig, state: GoalState) -> None:
-    await rig.run(shoulder_pan=0.01)
-    assert (await rig.stop(state, shoulder_pan=1.5)).code is MoveItErrorCode.PREEMPTED
-    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
-    assert (await rig.run(shoulder_pan=0.0)).code is MoveItErrorCode.SUCCESS
-
-
-@pytest.mark.parametrize(
-    "hardware", [SerialConfig(nominal_calibration(), "/dev/nothing"), EmulatedConfig(nominal_calibration())]
-)
-async def test_an_arm_that_is_not_connected_plans_nothing(hardware: HardwareConfig) -> None:
-    robot = so101()
-    arm = Arm(ArmConfig(robot, hardware), lambda _state: None)
-    executor = executor_of(arm, robot, PlannerPool(robot))
-    answer = await executor.run(Goal("1", GoalRequest("/goal", to(shoulder_pan=0.5))))
-    assert answer.code is MoveItErrorCode.COMMUNICATION_FAILURE
-    assert "starting" in answer.message
-    # In a motion, planners are awaited as long as the arm.
-    assert executor._scene_monitor._retry_for_s == arm.state_max_age_s
-
-
-WALL = PlanningFailure(MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall")
+INVALIDATED = MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
+WALL = PlanningFailure(INVALIDATED, "would touch the wall", {"pairs": ["wall"]})
 NO_WAY = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is no way")
 OUT_OF_REACH = PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "too far", {"distance_m": 0.2})
 
@@ -164,9 +59,9 @@ OUT_OF_REACH = PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, "too far", {"dist
 class Stage(CurrentScene):
     """An arm without a process, a scene, and planners that answer what they are told to."""
 
-    def __init__(self) -> None:
+    def __init__(self, arm: FakeArm | None = None) -> None:
         super().__init__()
-        self.arm, self.clock = FakeArm(), FakeClock()
+        self.arm, self.clock = arm or FakeArm(), FakeClock()
         self.scene = Scene(1)
         self.meanwhile: Callable[[], object] = lambda: None
         self.failures: list[PlanningFailure] = []
@@ -237,6 +132,11 @@ class Stage(CurrentScene):
     def put_wall(self, version: int) -> None:
         self.scene, self.contact = Scene(version), WALL
 
+    def pass_time(self, seconds: float) -> None:
+        """Let the same time pass on this machine's clock and on the arm's."""
+        self.clock.advance(seconds)
+        self.arm.pass_time(seconds)
+
 
 @pytest.fixture
 async def stage() -> Stage:
@@ -263,6 +163,11 @@ async def test_a_motion_that_takes_too_long_is_refused_and_not_planned_again(sta
     assert (len(stage.problems), stage.arm.played) == (1, [])
 
 
+def unplug(stage: Stage) -> None:
+    stage.arm.state = replace(stage.arm.state, mode=Mode.DISCONNECTED)
+
+
+UNPLUGGED = PlanningFailure(MoveItErrorCode.COMMUNICATION_FAILURE, "the arm is not connected")
 HELD_ELSEWHERE = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, "but the arm holds it at")
 STEERED = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, "being steered")
 REFUSED: list[tuple[Callable[[Stage], object], Motion, PlanningFailure]] = [
@@ -271,6 +176,7 @@ REFUSED: list[tuple[Callable[[Stage], object], Motion, PlanningFailure]] = [
     (lambda stage: setattr(stage, "meanwhile", lambda: stage.put_wall(2)), to(shoulder_pan=0.4), WALL),
     (lambda _stage: None, given(0.3, 0.5), HELD_ELSEWHERE),
     (lambda stage: setattr(stage.arm, "steered", True), to(shoulder_pan=0.4), STEERED),
+    (unplug, to(shoulder_pan=0.4), UNPLUGGED),
 ]
 
 
@@ -338,6 +244,14 @@ async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: S
     assert stage.arm.played[0].positions_rad[0, 0] == 0.3
 
 
+async def test_a_stop_ends_planning_that_hangs(stage: Stage) -> None:
+    stage.planners_answer.clear()
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.goal.cancel("stopped by a test")
+    answer = await stage.answer()
+    assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "stopped by a test while planning")
+
+
 async def test_a_goal_where_the_arm_is_already_is_reached_without_a_motion(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.0))
     assert (await stage.answer()).message == "the arm was there already"
@@ -351,6 +265,8 @@ async def test_an_external_trajectory_is_checked_and_played_from_where_the_arm_h
     assert stage.arm.played[0].positions_rad[0, 0] == 0.02
     assert stage.rechecked[0].trajectory is stage.arm.played[0]
     assert set(stage.rechecked[0].others_rad) == {"gripper"}
+    # In a motion, planners are awaited as long as the arm.
+    assert stage.executor._scene_monitor._retry_for_s == stage.arm.state_max_age_s
 
 
 async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_path: Path) -> None:
@@ -365,14 +281,138 @@ async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_
     assert names == ["goal-19700101T000000.000000Z-PLANNING_FAILED.json"]
 
 
+# The motion that is played
+
+
+@pytest.mark.parametrize("outcome", [one for one in Outcome if one in CODE_OF_OUTCOME and one is not Outcome.STOPPED])
+async def test_every_outcome_has_its_code_and_message_and_ends_the_monitoring(stage: Stage, outcome: Outcome) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.arm.end(outcome, "that is how it went")
+    answer = await stage.answer()
+    assert (answer.code, answer.message) == (CODE_OF_OUTCOME[outcome], "that is how it went")
+    assert answer.details == {"outcome": outcome.value}
+    stage.put_wall(2)
+    stage.changed()
+    await settle()
+    assert stage.rechecked == []
+
+
+async def test_a_motion_whose_goal_ends_by_an_error_is_braked(stage: Stage) -> None:
+    def broken(_goal: Goal, progress: Progress) -> None:
+        if progress.state is GoalState.EXECUTING:
+            raise ValueError("a bug")
+
+    with pytest.raises(ValueError, match="a bug"):
+        await stage.executor.run(Goal("1", GoalRequest("/goal", to(shoulder_pan=0.4)), broken))
+    assert len(stage.arm.played) == len(stage.arm.stops) == 1
+    assert stage.arm.stops != [None]
+
+
+async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details() -> None:
+    stage = Stage(StubbornArm())
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.put_wall(2)
+    stage.changed()
+    await settle()
+    assert len(stage.arm.stops) == 1
+    stage.goal.cancel("too late")
+    stage.arm.end(Outcome.STOPPED, "stopped half-way")
+    answer = await stage.answer()
+    assert (answer.code, answer.details) == (WALL.code, WALL.details)
+    assert answer.message == "would touch the wall; stopped half-way"
+
+
+@pytest.mark.parametrize(("direction", "from_s"), [(PlaybackDirection.FORWARD, 0.25), (PlaybackDirection.BACK, 0.0)])
+async def test_the_scene_monitor_asks_about_the_rest_of_the_motion_and_on_the_way_back_about_all(
+    stage: Stage, direction: PlaybackDirection, from_s: float
+) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(direction=direction))
+    stage.put_wall(2)
+    stage.changed()
+    await settle()
+    assert stage.rechecked[0].from_s == from_s
+
+
+class WornDeadline(ExecutionDeadline):
+    exceeded = "the arm did not end the motion"
+
+
+async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lags(stage: Stage) -> None:
+    goal = Goal("1", GoalRequest("/goal", to(shoulder_pan=0.4)), deadline=WornDeadline())
+    answer = await stage.executor.run(goal)
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    assert answer.message.startswith("the arm did not end the motion; joint ")
+    assert "is 0.000 rad behind; stopped half-way" in answer.message
+
+
+LOOKS_S = 10.0 * player.PROGRESS_PERIOD_S
+LIMITS = TimeLimits(scaling=3.0)
+
+
+@pytest.mark.stepped_time
+async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock() -> None:
+    stage = Stage(StubbornArm())
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.goal.cancel("preempted by a test", replaced=True)
+    await stage.answer()
+    resting = asyncio.create_task(stage.executor._player.stop_outgoing())
+    await asyncio.sleep(LOOKS_S)
+    stage.arm.pass_time(0.9 * player.BRAKING_TIMEOUT_S)
+    await asyncio.sleep(LOOKS_S)
+    assert not resting.done()
+    stage.arm.pass_time(0.2 * player.BRAKING_TIMEOUT_S)
+    await asyncio.wait_for(resting, TIMEOUT_S)
+
+
+@pytest.mark.stepped_time
+async def test_a_silent_arm_is_not_awaited() -> None:
+    stage = Stage(StubbornArm())
+    await stage.begin(to(shoulder_pan=0.4), LIMITS)
+    stage.pass_time(1.1 * LIMITS.allowed_s(1.0))
+    await asyncio.sleep(LOOKS_S)
+    stage.arm.state_age_s = 5.1
+    assert (await stage.answer()).code is MoveItErrorCode.COMMUNICATION_FAILURE
+
+
+@pytest.mark.stepped_time
+async def test_the_pauses_of_all_motions_of_a_goal_count_together(stage: Stage) -> None:
+    there, back = to(shoulder_pan=0.4), to(shoulder_pan=0.0)
+    await stage.begin(replace(there, steps=there.steps + back.steps), LIMITS)
+    stage.arm.state = replace(stage.arm.state, pace=Pace(1.0, PlaybackDirection.PAUSED))
+    for _ in range(2):
+        stage.pass_time(0.6 * LIMITS.paused_s)
+        await asyncio.sleep(LOOKS_S)
+        stage.arm.end()
+        await settle()
+    answer = await stage.answer()
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    assert answer.message.startswith("the motion was paused or going back for 720 s (limit 600 s)")
+
+
+async def test_a_braking_motion_is_not_replaced(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.goal.cancel("a test")
+    stage.goal.cancel("too late", replaced=True)
+    assert (await stage.answer()).message == "a test; stopped half-way"
+
+
+# The motion that another one replaces
+
+
 async def under_way(stage: Stage) -> None:
     """Let a motion be seen half done, give way, and its answer come."""
     await stage.begin(to(shoulder_pan=0.4))
-    stage.clock.advance(2.0 * STATE_AGE_S)
-    stage.arm.pass_time(2.0 * STATE_AGE_S)
+    stage.pass_time(2.0 * STATE_AGE_S)
     stage.arm.show(0.5)
     stage.goal.cancel("preempted by a test", replaced=True)
     assert (await stage.answer()).message == "preempted by a test"
+
+
+@pytest.mark.stepped_time
+async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) -> None:
+    await under_way(stage)
+    await until(lambda: stage.arm.stops)
 
 
 async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop(stage: Stage) -> None:

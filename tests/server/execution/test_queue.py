@@ -145,13 +145,6 @@ async def test_a_goal_is_told_how_many_are_ahead_of_it(desk: Desk) -> None:
     assert desk.queue.busy() == "goal 1 from /goal is worked on"
 
 
-async def test_a_rejected_goal_is_answered_at_once_while_another_runs(desk: Desk) -> None:
-    await desk.submit(LEFT)
-    goal = desk.queue.reject(GoalRequest("/goal"), PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "no"))
-    assert desk.codes == [(goal.goal_id, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)]
-    assert desk.asked == [LEFT]
-
-
 async def test_a_bug_in_the_runner_costs_its_goal_only(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     await desk.submit(BrokenError("broken"), LEFT)
     await desk.finish(LEFT)

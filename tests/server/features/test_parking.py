@@ -328,11 +328,7 @@ def test_the_arm_is_seen_to_once_the_delay_after_the_last_client_and_after_goals
 
 @pytest.mark.parametrize(
     ("policy", "parks", "done"),
-    [
-        ("park", True, ["park"]),
-        ("park", False, ["park", "relax"]),
-        ("relax", True, ["relax"]),
-    ],
+    [("park", True, ["park"]), ("park", False, ["park", "relax"]), ("relax", True, ["relax"])],
 )
 async def test_the_policy_says_what_becomes_of_the_arm(policy: str, *, parks: bool, done: list[str]) -> None:
     assert [len(World(**set_).parkings.last_clients) for set_ in ({}, {"on_last_client": policy})] == [0, 1]

@@ -182,29 +182,13 @@ def test_a_message_too_large_to_be_latched_is_delivered_and_logged(
     assert "/t: not latched: the server has 211 bytes latched with it, the limit is 100" in caplog.text
 
 
-class TestWhatClientsLatch:
-    """Room for latched messages, which clients cannot take from the server, nor from each other for good."""
-
-    @pytest.fixture(autouse=True)
-    def small(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        for name, limit in (("SERVER", 2000), ("CLIENTS", 2000), ("CLIENT", 1000)):
-            monkeypatch.setattr(latching, f"MAX_{name}_LATCHED_BYTES", limit)
-
-    def test_changing_clients_use_nothing_up(self, graph: Graph) -> None:
-        for number in range(10):
-            node = Node(f"client {number}", remote=True)
-            graph.advertise(node, f"/t{number}", "std_msgs/String")
-            assert graph.publish(node, f"/t{number}", {"data": "x" * 900}, latch=True) is None
-            graph.remove(node)
-        assert len(listen(graph, "/t9")) == 1
-
-    def test_a_message_whose_time_is_over_is_given_up(self, graph: Graph, clock: FakeClock) -> None:
-        graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
-        graph.publish(TALKER, "/t", {"data": "x"})
-        graph.unadvertise(TALKER, "/t")
-        clock.now_s += UNREGISTER_TIMEOUT_S * 1.1
-        graph.advertise(TALKER, "/another", "std_msgs/String")
-        assert graph._latched_messages._of_server.size_bytes == 0
+def test_a_message_whose_time_is_over_is_given_up(graph: Graph, clock: FakeClock) -> None:
+    graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
+    graph.publish(TALKER, "/t", {"data": "x"})
+    graph.unadvertise(TALKER, "/t")
+    clock.now_s += UNREGISTER_TIMEOUT_S * 1.1
+    graph.advertise(TALKER, "/another", "std_msgs/String")
+    assert graph._latched_messages._of_server.size_bytes == 0
 
 
 def test_a_watcher_gets_the_messages_of_every_topic_before_their_subscribers(graph: Graph) -> None:

@@ -17,7 +17,6 @@ from server.moveit.named_states import (
     MAX_NAME_LENGTH,
     NAMED_STATES_TOPIC,
     NamedStates,
-    NamedStatesFile,
     NamedStatesServices,
     Positions,
     States,
@@ -38,7 +37,11 @@ def path(tmp_path: Path) -> Path:
 
 def opened(path: Path) -> NamedStates:
     """The states of a server that has just started."""
-    return NamedStates(ROBOT, "arm", NamedStatesFile(path))
+    return NamedStates(ROBOT, "arm", path)
+
+
+def kept(path: Path) -> Any:
+    return json.loads(path.read_text())["states"]
 
 
 @pytest.fixture
@@ -51,7 +54,7 @@ async def test_a_saved_state_is_found_whatever_its_case_and_blanks_and_kept(stat
     states.on_change(lambda: changes.append(1))
     await states.save(" Over  the table", BENT)
     assert states.find("overthe TABLE") == ("Over the table", BENT)
-    assert NamedStatesFile(path).load() == {"Over the table": BENT}
+    assert kept(path) == {"Over the table": BENT}
     assert changes == [1]
     assert "Over the table" in states.names()
 
@@ -101,16 +104,17 @@ async def test_an_invalid_name_or_state_or_one_more_than_the_limit_is_refused(
 async def test_two_servers_and_those_of_another_arm_keep_what_the_other_has_saved_and_know_what_it_has_deleted(
     path: Path,
 ) -> None:
-    await NamedStatesFile(path).change(lambda _before: {"its": {"knee": 0.1}})
+    with files.locked(path):
+        files.replace(path, b'{"states": {"its": {"knee": 0.1}}}')
     one, other = opened(path), opened(path)
     await one.save("mine", BENT)
     await other.save("yours", {"elbow_flex": 0.5})
-    assert NamedStatesFile(path).load().keys() == {"its", "mine", "yours"}
+    assert kept(path).keys() == {"its", "mine", "yours"}
     assert other.saved.keys() == {"mine", "yours"}
     await one.delete("mine")
     with pytest.raises(ServiceError, match="no state 'mine'"):
         await other.rename("mine", "theirs")
-    assert NamedStatesFile(path).load().keys() == {"its", "yours"}
+    assert kept(path).keys() == {"its", "yours"}
 
 
 async def test_a_file_of_another_process_is_refused_with_its_name(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,17 +133,17 @@ async def test_a_file_that_cannot_be_read_or_written_is_an_error_and_the_old_one
     states = opened(path)
     await states.save("mine", BENT)
 
-    def unreadable(_file: NamedStatesFile) -> States:
+    def unreadable(_states: NamedStates) -> States:
         raise OSError(5, "Input/output error")
 
     with monkeypatch.context() as patched:
-        patched.setattr(NamedStatesFile, "_read", unreadable)
+        patched.setattr(NamedStates, "_read", unreadable)
         with pytest.raises(ServiceError, match=r"cannot be kept: .*: Input/output error"):
             await states.save("yours", BENT)
     path.with_name(f".{path.name}.new").mkdir()
     with pytest.raises(ServiceError, match=str(path)):
         await states.save("yours", BENT)
-    assert NamedStatesFile(path).load() == {"mine": BENT}
+    assert kept(path) == {"mine": BENT}
     assert states.find("yours") is None
 
 
@@ -156,7 +160,7 @@ BROKEN = [
 def test_an_invalid_file_is_logged_and_renamed(path: Path, content: str, caplog: pytest.LogCaptureFixture) -> None:
     path.parent.mkdir()
     path.write_text(content)
-    assert NamedStatesFile(path).load() == {}
+    assert opened(path).saved == {}
     assert str(path) in caplog.text
     assert path.with_name(f"{path.name}.broken").read_text() == content
     assert not path.exists()
@@ -164,7 +168,7 @@ def test_an_invalid_file_is_logged_and_renamed(path: Path, content: str, caplog:
 
 def test_a_file_that_cannot_be_read_is_logged_and_left(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path.mkdir(parents=True)
-    assert NamedStatesFile(path).load() == {}
+    assert opened(path).saved == {}
     assert str(path) in caplog.text
     assert path.is_dir()
 

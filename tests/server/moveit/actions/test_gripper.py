@@ -6,15 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.clients import ArmClient
-from harness.server import ServerOnBus
-from harness.waiting import TIMEOUT_S
-from robot.arm import Arm
 from robot.description.limits import within_calibration
 from robot.description.model import parse
 from robot.description.urdf import Joint
-from robot.hardware.config import SerialConfig
-from robot.messages import ArmConfig, Mode, MotionEnded, MotionProgress, Outcome
+from robot.messages import Mode, MotionEnded, MotionProgress, Outcome
+from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.goal import TimeLimits
 from server.execution.player import BRAKING_TIMEOUT_S
@@ -23,6 +19,7 @@ from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.actions.gripper import (
+    FETCH_ACTION,
     GRIPPER_ACTION,
     PARALLEL_ACTION,
     SQUEEZE_PERIOD_S,
@@ -38,92 +35,20 @@ from server.moveit.actions.gripper import (
 from tests.helpers.fake_arm import StubbornArm, settle
 from tests.helpers.moveit import REGISTRY
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, nominal_calibration, so101
-from tests.server.conftest import JOINTS
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
 JOINT = within_calibration(so101(), nominal_calibration()).joints["gripper"]
 
 
-async def send(client: ArmClient, position_rad: float, max_effort: float = 0.0) -> str:
-    command = {"position": position_rad, "max_effort": max_effort}
-    return await client.send_goal(GRIPPER_ACTION, SIMPLE, {"command": command})
-
-
-async def move(client: ArmClient, position_rad: float, max_effort: float = 0.0) -> dict[str, Any]:
-    return await client.result(await send(client, position_rad, max_effort))
-
-
-async def test_the_gripper_opens_and_closes_by_both_actions_with_feedback(client: ArmClient) -> None:
-    await move(client, 0.0)
-    goal = await send(client, 1.2)
-    ended = await client.result(goal)
-    assert (ended["status"], ended["values"]["reached_goal"]) == (SUCCEEDED, True)
-    assert ended["values"]["position"] == pytest.approx(1.2, abs=0.06)
-    way = [feedback["position"] for feedback in client.feedback[goal]]
-    assert way == sorted(way)
-    command = {"name": ["gripper"], "position": [0.8], "effort": [0.3], "velocity": [2.0]}
-    ended = await client.result(await client.send_goal(PARALLEL_ACTION, PARALLEL, {"command": command}))
-    assert (ended["status"], ended["values"]["reached_goal"]) == (SUCCEEDED, True)
-    assert ended["values"]["state"]["name"] == ["gripper"]
-    assert ended["values"]["state"]["position"][0] == pytest.approx(0.8, abs=0.06)
-
-
-async def test_an_object_in_the_jaws_is_gripped_gently_and_released(client: ArmClient, served: ServerOnBus) -> None:
-    await move(client, 1.2)
-    served.emulator.command(obstacle={"6": JOINTS["gripper"].ticks_from_rad(0.5)})
-    ended = await move(client, 0.0, max_effort=0.4)
-    values = ended["values"]
-    assert (ended["status"], values["stalled"], values["reached_goal"]) == (SUCCEEDED, True, False)
-    assert values["position"] == pytest.approx(0.5, abs=0.05)
-    seen = len(client.topics["/joint_states"])
-    states = await client.until("/joint_states", lambda states: len(states) > seen)
-    assert abs(states[-1]["effort"][-1]) <= 0.3
-    assert (await move(client, 1.2))["values"]["reached_goal"]
-    await client.until_mode("holding")
-
-
-async def test_the_newest_of_several_goals_wins_and_one_that_is_cancelled_stops_on_its_way(client: ArmClient) -> None:
-    await move(client, 0.0)
-    goals = [await send(client, position_rad) for position_rad in (1.5, 0.1, 0.9)]
-    ends = [await client.result(goal) for goal in goals]
-    assert [end["status"] for end in ends] == [CANCELED, CANCELED, SUCCEEDED]
-    assert ends[-1]["values"]["position"] == pytest.approx(0.9, abs=0.06)
-    goal = await send(client, 0.0)
-    await client.until("/joint_states", lambda states: states[-1]["position"][-1] < 0.7)
-    await client.say("cancel_action_goal", action=GRIPPER_ACTION, id=goal)
-    ended = await client.result(goal)
-    assert ended["status"] == CANCELED
-    assert 0.05 < ended["values"]["position"] < 0.7
-
-
-async def test_gripper_and_arm_move_at_the_same_time(client: ArmClient) -> None:
-    await move(client, 0.0)
-    pan_rad = (await client.until("/joint_states", bool))[-1]["position"][0]
-    goal = {"name": ["shoulder_pan"], "position": [-1.0 if pan_rad > 0.0 else 1.0]}
-    await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", goal)
-    await client.until("/joint_states", lambda states: abs(states[-1]["position"][0] - pan_rad) > 0.1)
-    assert (await move(client, 1.0))["values"]["reached_goal"]
-    assert (await client.until("/moveit_goal_result", bool))[0]["val"] == 1
-
-
-async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it() -> None:
-    arm = Arm(ArmConfig(so101(), SerialConfig(nominal_calibration(), "/dev/nothing")), lambda _state: None)
-    await arm.launch()
-    gripper = Gripper(arm, [JOINT], GripperLimits(1.0, 1.0, 0.5, TimeLimits()))
-    moving = asyncio.create_task(gripper.move(gripper.claim(), GripperCommand(1.0), lambda _reading: None))
-    await settle()
-    assert not moving.done()
-    await arm.start(TIMEOUT_S)
-    with pytest.raises(RefusedError, match="/dev/nothing does not exist"):
-        await asyncio.wait_for(moving, TIMEOUT_S)
-    await arm.close()
-
-
 class SlowArm(StubbornArm):
     """Moves its gripper for as long as a test lets it, whatever the torque, at a share of the planned speed."""
 
-    rate = 1.0
+    rate = torque_share = 1.0
+
+    def execute(self, trajectory: Trajectory, **options: Any) -> asyncio.Future[MotionEnded]:
+        self.torque_share = options["torque_share"]
+        return super().execute(trajectory, **options)
 
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
         progress = super().progress(motion)
@@ -158,14 +83,72 @@ class Grippers:
         self.gripper = Gripper(self.arm.as_arm, [JOINT], limits_of_gripper, clock=clock)
         offer_gripper(LocalGraph(self.graph), self.gripper)
         self.results: list[Result] = []
+        self.feedback: list[dict[str, Any]] = []
 
     async def send(self, action: str = PARALLEL_ACTION, **command: Any) -> Any:
         """Send a goal, by default to the action that takes a velocity."""
         told = command if "position" in command else {"name": ["gripper"], "position": [1.0], **command}
         type_name, client = PARALLEL if action == PARALLEL_ACTION else SIMPLE, Node("client", remote=True)
-        goal = self.graph.actions.send_goal(client, action, type_name, {"command": told}, self.results.append)
+        hear = self.results.append, self.feedback.append
+        goal = self.graph.actions.send_goal(client, action, type_name, {"command": told}, *hear)
         await settle()
         return goal
+
+
+@pytest.mark.stepped_time
+@pytest.mark.parametrize(
+    ("end", "status", "end_rad", "stalled"),
+    [
+        (Outcome.REACHED, SUCCEEDED, 1.0, False),
+        (Outcome.GRIPPED, SUCCEEDED, 0.2, True),
+        (Outcome.STOPPED, CANCELED, 0.2, False),
+    ],
+)
+async def test_feedback_and_result_tell_where_the_gripper_is_and_how_its_motion_ended(
+    end: Outcome, status: int, end_rad: float, stalled: bool
+) -> None:
+    for action, command in ((FETCH_ACTION, {"position": 1.0, "max_effort": 0.1}), (PARALLEL_ACTION, {})):
+        grippers = Grippers()
+        grippers.arm.put(gripper=0.2)
+        await grippers.send(action, **command)
+        await asyncio.sleep(1.0)
+        grippers.arm.end(end, "so")
+        await together(grippers.arm, 1.0)
+        (result,) = grippers.results
+        told = [each if command else each["state"] for each in (grippers.feedback[0], result.values)]
+        assert [each["position"] for each in told] == ([0.2, end_rad] if command else [[0.2], [end_rad]])
+        flags = result.values["stalled"], result.values["reached_goal"]
+        assert (result.status, *flags) == (status, stalled, end is Outcome.REACHED)
+        # Of the limit of 0.5.
+        assert grippers.arm.torque_share == (0.2 if command else 1.0)
+
+
+@pytest.mark.stepped_time
+async def test_the_newest_of_several_goals_wins_and_one_that_is_cancelled_is_braked() -> None:
+    grippers = Grippers()
+    for position in (1.5, 0.1, 0.9):
+        goal = await grippers.send(FETCH_ACTION, position=position)
+    for stops in (1, 2):
+        assert len(grippers.arm.stops) == stops
+        grippers.arm.end(Outcome.STOPPED, "stopped half-way")
+        await together(grippers.arm, 1.0)
+        goal.cancel()
+        await settle()
+    assert [motion.positions_rad[-1, 0] for motion in grippers.arm.played] == pytest.approx([1.5, 0.9])
+    assert [result.status for result in grippers.results] == [CANCELED] * 3
+
+
+async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it() -> None:
+    grippers = Grippers()
+    grippers.arm.started.clear()
+    grippers.arm.state = replace(grippers.arm.state, mode=Mode.RELAXED)
+    await grippers.send()
+    assert grippers.results == []
+    grippers.arm.started.set()
+    await settle()
+    (result,) = grippers.results
+    assert (result.ok, result.status) == (False, ABORTED)
+    assert "/arm/enable" in result.values
 
 
 async def test_a_goal_that_is_over_takes_the_grippers_motion_along() -> None:
@@ -285,15 +268,6 @@ async def test_an_invalid_command_is_rejected_with_field_limit_and_value(
     (result,) = grippers.results
     assert (result.ok, result.status) == (False, ABORTED)
     assert re.search(words, result.values)
-
-
-async def test_a_relaxed_gripper_names_the_service_that_enables_it() -> None:
-    grippers = Grippers()
-    grippers.arm.state = replace(grippers.arm.state, mode=Mode.RELAXED)
-    await grippers.send()
-    (result,) = grippers.results
-    assert (result.ok, result.status) == (False, ABORTED)
-    assert "/arm/enable" in result.values
 
 
 LIFTED = parse(LIFTED_URDF, LIFTED_SRDF)

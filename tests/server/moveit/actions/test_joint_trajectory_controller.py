@@ -15,17 +15,13 @@ from robot.messages import ArmState, Outcome
 from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalState, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Performed
-from server.graph.actions import ActionGoal, GoalStatus, Result
+from server.graph.actions import GoalStatus
 from server.graph.local_graph import LocalGraph
-from server.graph.message_types import MessageTypes
-from server.graph.node import Node
 from server.moveit.actions.joint_trajectory_controller import (
     INDUSTRIAL_ACTION,
     FollowCode,
     JointTrajectoryController,
-    SegmentTolerances,
     TrajectoryContext,
-    TrajectoryGoal,
     check_trajectory,
     follow_code,
     read_segment_tolerances,
@@ -33,7 +29,7 @@ from server.moveit.actions.joint_trajectory_controller import (
 from server.moveit.trajectories import external_trajectory
 from tests.helpers.fake_arm import HOME, JOINTS, FakeArm, settle
 from tests.helpers.motions import smooth_move
-from tests.helpers.moveit import REGISTRY, ROBOT, ActionDesk, message, outcome
+from tests.helpers.moveit import ROBOT, ActionDesk, message, outcome
 
 ACTION = "/arm_controller/follow_joint_trajectory"
 TOPIC = "/arm_controller/joint_trajectory"
@@ -49,6 +45,7 @@ class Desk(ActionDesk):
             ROBOT.groups["arm"],
             self.arm.as_arm,
             TrajectoryContext(self.context, self.queue, TimeLimits()),
+            "arm",
             industrial=True,
         )
 
@@ -103,6 +100,15 @@ async def test_a_trajectory_that_takes_too_long_is_refused_and_the_motion_contin
     assert len(desk.asked) == 1
 
 
+async def test_a_goal_that_a_stop_has_overtaken_is_answered_and_forgotten(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(desk, "last_stop", lambda _joints: math.inf)
+    await desk.send(ACTION, trajectory=TRAJECTORY)
+    assert desk.codes == [(GoalStatus.CANCELED, FollowCode.INVALID_GOAL)]
+    assert not desk.controller._goals
+
+
 async def test_a_stamp_too_far_in_the_future_is_refused(desk: Desk) -> None:
     for ahead_s in (700.0, 2e4, 3e8):
         stamp = {"sec": int(time.time() + ahead_s), "nanosec": 0}
@@ -148,51 +154,44 @@ def at(position_rad: float, goal_rad: float, clock_s: float = 1.0) -> ArmState:
     return replace(FakeArm().state, clock_s=clock_s, position_rad=position, goal_rad=goal)
 
 
-class Followed:
-    def __init__(self, path: dict[str, float], end: dict[str, float], time_s: float = 0.0) -> None:
-        self.results: list[Result] = []
-        self.cancelled: list[str] = []
-        names = "/follow", "control_msgs/action/FollowJointTrajectory"
-        goal = ActionGoal(names, {}, MessageTypes(REGISTRY), Node("client"))
-        goal.when_ended(self.results.append)
-        self.goal = TrajectoryGoal(goal, ARM, SegmentTolerances(path, end, time_s), ROBOT)
-
-    def state(self, state: ArmState) -> None:
-        self.goal.take_state(state, self.cancelled.append)
-
-    @property
-    def codes(self) -> list[tuple[int, int]]:
-        return [(result.status, result.values["error_code"]) for result in self.results]
+ELBOW = {"name": "elbow_flex"}
 
 
-def test_a_joint_that_leaves_the_path_tolerance_ends_the_motion_once() -> None:
-    followed = Followed({"elbow_flex": 0.05}, {})
-    followed.state(at(0.0, 0.3))
-    followed.goal.executing = True
-    for lag_rad in (0.04, 0.06, 0.07):
-        followed.state(at(0.3 - lag_rad, 0.3))
-    assert len(followed.cancelled) == 1
-    followed.goal.take_answer(Answer(MoveItErrorCode.PREEMPTED, "stopped"), at(0.2, 0.3))
-    assert followed.codes == [(GoalStatus.ABORTED, FollowCode.PATH_TOLERANCE_VIOLATED)]
-    assert "elbow_flex is 0.060 rad" in followed.results[0].values["error_string"]
+async def test_a_joint_that_leaves_the_path_tolerance_ends_the_motion(desk: Desk) -> None:
+    await desk.send(ACTION, trajectory=TRAJECTORY, path_tolerance=[{**ELBOW, "position": 0.05}])
+    desk.controller.take_state(at(0.0, 0.3))
+    desk.report(MOVING)
+    desk.controller.take_state(at(0.26, 0.3))
+    assert desk.queue.active_count == 1
+    for lag_rad in (0.06, 0.07):
+        desk.controller.take_state(at(0.3 - lag_rad, 0.3))
+    await settle()
+    assert desk.codes == [(GoalStatus.ABORTED, FollowCode.PATH_TOLERANCE_VIOLATED)]
+    assert "elbow_flex is 0.060 rad" in desk.results[0].values["error_string"]
 
 
-def test_a_goal_within_its_tolerance_succeeds_at_once_and_violates_it_with_a_joint_that_stays_away() -> None:
-    followed = Followed({}, {"elbow_flex": 0.02})
-    followed.goal.take_answer(REACHED, at(0.49, 0.5))
-    assert followed.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
-    followed = Followed({}, {"elbow_flex": 0.02}, time_s=1.0)
-    followed.goal.take_answer(REACHED, at(0.45, 0.5, 10.0))
-    assert followed.codes == []
-    followed.state(at(0.45, 0.5, 11.0))
-    assert followed.codes == [(GoalStatus.ABORTED, FollowCode.GOAL_TOLERANCE_VIOLATED)]
+@pytest.mark.parametrize(("end_rad", "code"), [(0.49, FollowCode.SUCCESSFUL), (0.45, None)])
+async def test_a_goal_within_its_tolerance_succeeds_at_once_and_violates_it_with_a_joint_that_stays_away(
+    desk: Desk, end_rad: float, code: FollowCode | None
+) -> None:
+    tolerance = {"goal_tolerance": [{**ELBOW, "position": 0.02}], "goal_time_tolerance": {"sec": 1}}
+    await desk.send(ACTION, trajectory=TRAJECTORY, **tolerance)
+    desk.arm.state = at(end_rad, 0.5, 10.0)
+    desk.finish(REACHED)
+    await settle()
+    assert desk.codes == [(GoalStatus.SUCCEEDED, code)] * (code is not None)
+    desk.controller.take_state(at(end_rad, 0.5, 11.0))
+    assert desk.codes[0] == (
+        (GoalStatus.SUCCEEDED, code) if code is not None else (GoalStatus.ABORTED, FollowCode.GOAL_TOLERANCE_VIOLATED)
+    )
 
 
-def test_feedback_has_every_joint_while_the_arm_moves() -> None:
-    followed = Followed({}, {})
-    assert followed.goal.feedback(at(0.2, 0.3)) is None
-    followed.goal.executing = True
-    feedback: Any = followed.goal.feedback(at(0.2, 0.3))
+async def test_feedback_has_every_joint_while_the_arm_moves(desk: Desk) -> None:
+    await desk.send(ACTION, trajectory=TRAJECTORY)
+    desk.arm.state = at(0.2, 0.3)
+    desk.report(replace(MOVING, state=GoalState.PLANNED))
+    desk.report(MOVING)
+    (feedback,) = desk.feedback
     assert feedback["joint_names"] == list(ARM)
     assert feedback["error"]["positions"] == pytest.approx([0.1] * len(ARM))
 

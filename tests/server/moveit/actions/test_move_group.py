@@ -104,13 +104,15 @@ async def test_a_bad_goal_is_answered_while_another_moves(desk: ActionDesk) -> N
     assert len(desk.asked) == 1
 
 
-async def test_a_plan_only_goal_does_not_disturb_the_motion(desk: ActionDesk) -> None:
+async def test_a_plan_only_goal_is_shown_and_does_not_disturb_the_motion(desk: ActionDesk) -> None:
+    shown = desk.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
     await desk.send("/move_group", request=to(0.3))
     await desk.send("/move_group", request=to(0.5), planning_options={"plan_only": True})
     assert codes(desk) == [1]
     assert len(desk.asked) == 1
     assert [message["state"] for message in desk.feedback] == ["PLANNING", "IDLE"]
-    assert desk.results[0].values["planned_trajectory"]["joint_trajectory"]["points"]
+    assert shown[-1]["trajectory"] == [desk.results[0].values["planned_trajectory"]]
+    assert shown[-1]["trajectory"][0]["joint_trajectory"]["points"]
 
 
 async def test_a_plan_alone_ends_with_its_goal(desk: ActionDesk, monkeypatch: pytest.MonkeyPatch) -> None:

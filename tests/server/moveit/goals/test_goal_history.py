@@ -1,20 +1,16 @@
 """The records of answered goals, as the services of the goal history tell them."""
 
-import asyncio
 import itertools
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from harness.clients import ArmClient, values_of
 from planners.goals import JointGoal
 from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
 from robot.trajectory import Trajectory
-from server import cli
 from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.node import Node
@@ -121,18 +117,3 @@ async def test_goals_of_the_last_ten_scenes_alone_have_a_problem_file(records: R
     assert forgotten["message"] == "no problem file: the scene has changed more than 10 times since"
     assert forgotten["planned"]
     assert kept["problem"]
-
-
-async def test_plan_takes_a_record(client: ArmClient, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    await client.say("subscribe", topic="/moveit_goal_status", type="diagnostic_msgs/DiagnosticStatus")
-    await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "ready"})
-    statuses = await client.until("/moveit_goal_status", lambda all_: values_of(all_[-1])["state"] == "done")
-    goal_id = statuses[-1]["hardware_id"]
-    assert (await client.call(HISTORY))["goals"][-1]["hardware_id"] == goal_id
-    told = await client.call(RECORD, goal_id=goal_id)
-    assert told["success"], told
-    assert told["problem_name"] == f"goal-{goal_id}-SUCCESS.json"
-    path = tmp_path / told["problem_name"]
-    path.write_text(told["problem"])
-    assert await asyncio.to_thread(cli.main, ["plan", str(path), "--seed", "3"]) == 0
-    assert "SUCCESS" in capsys.readouterr().out

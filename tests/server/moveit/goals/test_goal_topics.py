@@ -9,49 +9,40 @@ from harness.clients import values_of
 from harness.waiting import TIMEOUT_S
 from planners.problem import MoveItErrorCode
 from protocol.errors import MessageError
-from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion, PlannedSequence
-from server.execution.queue import GoalListener, GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.goals import goal_topics
 from tests.helpers.fake_arm import settle
-from tests.helpers.goal_runner import GoalRunner
+from tests.helpers.goal_runner import THERE
 from tests.helpers.graph import answered, listen
-from tests.helpers.moveit import REGISTRY, translator
-from tests.helpers.robots import so101
+from tests.helpers.moveit import REGISTRY, ROBOT, ActionDesk, translator
 
 CLIENT = Node("client")
 
 
-class Obedient(GoalRunner):
+class Desk(ActionDesk):
     """Reaches every goal at once, unless it is told to wait."""
 
     waits = False
 
-    async def run(self, goal: Goal) -> Answer:
-        goal.report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
-        running = asyncio.ensure_future(super().run(goal))
-        if not self.waits:
-            asyncio.get_running_loop().call_soon(self.finish, Answer(MoveItErrorCode.SUCCESS, "there"))
-        return await running
-
-
-class Desk(GoalListener):
     def __init__(self) -> None:
-        self.graph = Graph(REGISTRY)
-        self.runner = Obedient()
+        super().__init__()
+        graph, node = LocalGraph(self.graph), Node("moveit")
         self.confirmation = goal_topics.Confirmation(self.graph, enabled=False, timeout_s=60.0)
-        node = Node("moveit")
-        self.status = goal_topics.GoalStatusTopics(LocalGraph(self.graph), node, so101())
-        self.queue = GoalQueue(self.runner, GoalPolicy.QUEUE, 4)
-        self.queue.listeners.append(self)
-        self.queue.start()
-        goal_topics.GoalTopics(LocalGraph(self.graph), node, self.queue, translator(), self.confirmation)
+        self.status = goal_topics.GoalStatusTopics(graph, node, ROBOT)
+        goal_topics.GoalTopics(graph, node, self.queue, translator(), self.confirmation)
         self.heard = {
             topic: listen(self.graph, topic) for topic in (goal_topics.RESULT_TOPIC, goal_topics.STATUS_TOPIC)
         }
+
+    async def run(self, goal: Goal) -> Answer:
+        goal.report(Progress(GoalState.EXECUTING, "moving", 0.25, 1.5))
+        if not self.waits:
+            asyncio.get_running_loop().call_soon(self.finish)
+        return await super().run(goal)
 
     def on_progress(self, goal: Goal, progress: Progress) -> None:
         self.status.publish_progress(goal, progress)
@@ -64,7 +55,7 @@ class Desk(GoalListener):
         await settle()
 
     @property
-    def results(self) -> list[tuple[int, str, str]]:
+    def answers(self) -> list[tuple[int, str, str]]:
         return [(each["val"], each["message"], each["source"]) for each in self.heard[goal_topics.RESULT_TOPIC]]
 
 
@@ -72,12 +63,12 @@ class Desk(GoalListener):
 async def desk() -> AsyncIterator[Desk]:
     made = Desk()
     yield made
-    await made.queue.close(0.1)
+    await made.close()
 
 
 async def test_status_and_result_name_the_goals_topic_and_id(desk: Desk) -> None:
     await desk.publish("/moveit_goal_named", {"data": "ready"})
-    assert desk.results == [(1, "there", "/moveit_goal_named#1")]
+    assert desk.answers == [(1, THERE.message, "/moveit_goal_named#1")]
     queued, moving, done = desk.heard[goal_topics.STATUS_TOPIC]
     assert (values_of(queued)["state"], values_of(done)["state"]) == ("queued", "done")
     assert (moving["name"], moving["hardware_id"], moving["level"]) == ("/moveit_goal_named", "1", 0)
@@ -87,7 +78,7 @@ async def test_status_and_result_name_the_goals_topic_and_id(desk: Desk) -> None
 async def test_an_invalid_message_is_a_rejected_goal(desk: Desk) -> None:
     with pytest.raises(MessageError):
         await desk.publish("/moveit_goal_joints", {"name": 5})
-    ((code, sentence, _source),) = desk.results
+    ((code, sentence, _source),) = desk.answers
     assert code == -16
     assert "name" in sentence
     assert desk.heard[goal_topics.STATUS_TOPIC][-1]["level"] == 2
@@ -97,28 +88,28 @@ async def test_ignored_joints_and_unknown_events_are_logged(desk: Desk, caplog: 
     await desk.publish("/moveit_goal_joints", {"name": ["knee", "elbow_flex"], "position": [1.0, 0.2]})
     assert "ignored joints that are not in group arm: knee" in caplog.text
     await desk.publish("/trajectory_execution_event", {"data": "dance"})
-    assert desk.runner.stopped == []
+    assert desk.stopped == []
     assert "'dance'" in caplog.text
 
 
 @pytest.mark.parametrize(("topic", "message"), [("/stop", {}), ("/trajectory_execution_event", {"data": "stop"})])
 async def test_a_stop_reaches_the_arm_with_its_source(desk: Desk, topic: str, message: dict[str, Any]) -> None:
-    desk.runner.waits = True
+    desk.waits = True
     await desk.publish("/moveit_goal_named", {"data": "ready"})
     await desk.publish(topic, message)
-    assert desk.runner.stopped == [None]
-    assert desk.results == [(-7, f"stopped by {topic}", "/moveit_goal_named#1")]
+    assert desk.stopped == [None]
+    assert desk.answers == [(-7, f"stopped by {topic}", "/moveit_goal_named#1")]
 
 
 async def test_one_goal_is_cancelled_by_its_id(desk: Desk) -> None:
-    desk.runner.waits = True
+    desk.waits = True
     for name in ("ready", "home", "rest"):
         await desk.publish("/moveit_goal_named", {"data": name})
     for goal_id in ("2", "99", "1"):
         await desk.publish("/moveit_goal_cancel", {"data": goal_id})
-    assert desk.runner.stopped == []
+    assert desk.stopped == []
     cancelled = "cancelled by /moveit_goal_cancel"
-    assert desk.results == [
+    assert desk.answers == [
         (-7, f"{cancelled} before this goal's turn came", "/moveit_goal_named#2"),
         (-7, cancelled, "/moveit_goal_named#1"),
     ]
@@ -134,16 +125,16 @@ async def test_a_suggested_goal_is_in_the_final_status_and_named_in_the_result(d
     await desk.publish("/moveit_goal_named", {"data": "redy"})
     suggested = json.loads(values_of(desk.heard[goal_topics.STATUS_TOPIC][-1])["suggested_goal"])
     assert suggested == {"topic": "/moveit_goal_named", "type": "std_msgs/String", "msg": {"data": "ready"}}
-    assert "'ready'" in desk.results[-1][1]
+    assert "'ready'" in desk.answers[-1][1]
     await desk.publish(suggested["topic"], suggested["msg"])
-    assert desk.results[-1][0] == 1
+    assert desk.answers[-1][0] == 1
 
 
 @pytest.mark.parametrize("wanted", [True, False])
 async def test_goals_wait_for_confirmation_while_that_is_wanted(desk: Desk, *, wanted: bool) -> None:
     desk.confirmation.enabled = wanted
     await desk.publish("/moveit_goal_named", {"data": "home"})
-    assert [motion.confirm for motion in desk.runner.asked] == [wanted]
+    assert [motion.confirm for motion in desk.asked] == [wanted]
 
 
 async def test_the_refusal_of_a_goal_goes_to_its_sender_alone(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
@@ -155,7 +146,7 @@ async def test_the_refusal_of_a_goal_goes_to_its_sender_alone(desk: Desk, caplog
     assert result == {"val": -4, "message": "another drives", "source": "/moveit_goal_named#1"}
     assert (values_of(status)["state"], status["level"], status["hardware_id"]) == ("done", 2, "1")
     assert desk.heard == {goal_topics.RESULT_TOPIC: [], goal_topics.STATUS_TOPIC: []}
-    assert desk.runner.asked == []
+    assert desk.asked == []
     assert not caplog.records
 
 
@@ -272,4 +263,4 @@ async def test_the_group_of_goals_is_latched_and_can_be_chosen(desk: Desk) -> No
     status = desk.heard[goal_topics.STATUS_TOPIC][-1]
     assert (status["level"], status["name"]) == (2, GROUP_TOPIC)
     assert "there is no planning group 'legs'; there are: arm" in status["message"]
-    assert desk.results == []
+    assert desk.answers == []

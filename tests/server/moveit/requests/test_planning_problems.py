@@ -137,15 +137,11 @@ def test_a_line_ends_at_the_goal_in_whatever_orientation() -> None:
     assert bent.segments[0].end == FRAMES.resolve(TIP, HOME | {"elbow_flex": 0.4})
 
 
-def test_a_strict_pose_keeps_its_orientation_on_the_way() -> None:
+@pytest.mark.parametrize(("tip_speed", "kept"), [(0.0, None), (0.05, 0.05)])
+def test_a_strict_pose_keeps_its_orientation_and_the_speed_asked_for_on_the_way(tip_speed, kept) -> None:
     goal = PoseGoal(TIP, Pose(END), 0.005, (0.1, 0.1, 0.2), strict=True)
-    line = path(problem=PlanningProblem("arm", HOME, goal))
-    assert (line.keep_orientation, line.orientation_tolerance_rad) == (True, 0.2)
-
-
-@pytest.mark.parametrize(("asked", "kept"), [(0.0, None), (0.05, 0.05)])
-def test_the_speed_of_the_tip_is_bounded_on_request(asked, kept) -> None:
-    assert path(tip_speed=asked).tip_speed_m_s == kept
+    line = path(problem=PlanningProblem("arm", HOME, goal), tip_speed=tip_speed)
+    assert (line.keep_orientation, line.orientation_tolerance_rad, line.tip_speed_m_s) == (True, 0.2, kept)
 
 
 def test_a_circle_leads_through_its_interim_point() -> None:

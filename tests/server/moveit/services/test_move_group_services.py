@@ -1,10 +1,10 @@
 """Services of MoveIt that plan, and those that describe planners and groups."""
 
+import math
 from typing import Any
 
 import pytest
 
-from harness.clients import ArmClient
 from planners.problem import PLANNER_IDS, MoveItErrorCode
 from robot.description import model
 from server.moveit.requests.planning_problems import MAX_LINKS, PILZ, _goal_of_links
@@ -45,14 +45,6 @@ async def test_every_service_answers_empty_requests_and_nonsense_also_for_an_arm
         rig.arm.lose_positions()
 
 
-async def test_a_running_server_offers_them(client: ArmClient) -> None:
-    answer = await client.call("/compute_fk", fk_link_names=[TIP])
-    assert answer["fk_link_names"] == [TIP]
-    goal = {"joint_constraints": [{"joint_name": "shoulder_pan", "position": 0.2}]}
-    planned = await client.call("/plan_kinematic_path", motion_plan_request={"goal_constraints": [goal]})
-    assert planned["motion_plan_response"]["error_code"]["val"] == 1
-
-
 # Shoulder and gripper overlap by centimetres.
 FOLDED = {"shoulder_lift": -1.7, "elbow_flex": 1.6, "wrist_flex": 1.6}
 REACHABLE = {"position_constraints": [ball(0.3, 0.0, 0.2)]}
@@ -79,6 +71,7 @@ def put_crate(rig: ServiceRig, x: float, y: float, z: float) -> None:
 
 async def test_a_motion_leads_from_the_start_to_the_goal_and_the_pipeline_state_shows_it(rig: ServiceRig) -> None:
     heard = rig.listen("/pipeline_state", "moveit_msgs/PipelineState")
+    paths = rig.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
     response = await planned(rig, start_state=start_state({"wrist_roll": 0.2}))
     assert response["error_code"]["val"] == MoveItErrorCode.SUCCESS
     assert response["group_name"] == "arm"
@@ -89,6 +82,8 @@ async def test_a_motion_leads_from_the_start_to_the_goal_and_the_pipeline_state_
     assert response["trajectory_start"]["joint_state"]["position"][-2] == pytest.approx(0.2)
     assert heard[-1]["request"]["start_state"]["joint_state"]["name"] == ["wrist_roll"]
     assert heard[-1]["response"]["error_code"]["val"] == MoveItErrorCode.SUCCESS
+    assert (paths[-1]["model_id"], paths[-1]["trajectory"]) == (ROBOT.name, [response["trajectory"]])
+    assert paths[-1]["trajectory_start"] == response["trajectory_start"]
 
 
 async def test_warnings_are_in_the_message_of_a_success(rig: ServiceRig) -> None:
@@ -131,7 +126,11 @@ async def test_a_goal_in_collision_names_the_object_and_shows_the_contact(rig: S
     code = (await planned(rig, IN_THE_CRATE))["error_code"]
     assert code["val"] == MoveItErrorCode.GOAL_IN_COLLISION
     assert "crate" in code["message"]
-    assert "crate" in shown[-1]["markers"][-1]["ns"]
+    # Contacts are spheres, in place of those before.
+    clear, *balls = shown[-1]["markers"]
+    assert (clear["action"], balls[-1]["type"], balls[-1]["header"]["frame_id"]) == (3, 2, ROBOT.root_link)
+    assert "crate" in balls[-1]["ns"]
+    assert math.dist(balls[-1]["pose"]["position"].values(), (0.0, 0.35, 0.2)) < 0.1
 
 
 @pytest.mark.parametrize("service", ["/plan_kinematic_path", "/plan_sequence_path"])

@@ -262,9 +262,6 @@ def size_bytes_of(frame: str | bytes) -> int:
 # A stream's first bytes tell what it is; an operation takes more in either encoding.
 _LENGTH_BYTES = 4
 
-# An empty document: its length and the closing zero.
-_MIN_DOCUMENT_BYTES = 5
-
 # The highest byte of a length up to 150 MB, which settings allow 100 of. No JSON text has such a byte, for it is a
 # control character; a length of 123 has the first byte of an object, and differs from it by this one.
 _MAX_HIGH_BYTE = 8
@@ -318,9 +315,9 @@ class StreamSplitter:
         if len(self._data) < _LENGTH_BYTES:
             return None
         size_bytes = int.from_bytes(self._data[:_LENGTH_BYTES], "little", signed=True)
-        if not _MIN_DOCUMENT_BYTES <= size_bytes <= self.max_frame_bytes:
+        if not bson.MIN_DOCUMENT_BYTES <= size_bytes <= self.max_frame_bytes:
             raise FrameError(
-                f"a BSON document of {size_bytes} bytes, the limits are {_MIN_DOCUMENT_BYTES} and"
+                f"a BSON document of {size_bytes} bytes, the limits are {bson.MIN_DOCUMENT_BYTES} and"
                 f" {self.max_frame_bytes}"
             )
         if len(self._data) < size_bytes:

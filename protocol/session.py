@@ -109,10 +109,7 @@ class Session:
         if size_bytes > self.limits.max_message_bytes:
             text = f"message of {size_bytes} bytes, the limit is {self.limits.max_message_bytes}"
             return [Refusal(None, None, text)]
-        found = self._reader.feed(frame)
-        if len(found) == 1:
-            return self._read(found[0], now)
-        return [item for value in found for item in self._read(value, now)]
+        return [item for value in self._reader.feed(frame) for item in self._read(value, now)]
 
     def peek(self, frame: str | bytes) -> Operation | None:
         """Read a frame ahead of the frames before it; None for a frame that is not one operation in JSON or BSON."""
@@ -174,7 +171,7 @@ class Session:
         Raises ProtocolError for a message that cannot be encoded as the subscription wants it.
         """
         subscription = self.subscriptions.get(published.topic)
-        if subscription is None or (subscription.throttle_s > 0 and not subscription.admit(now)):
+        if subscription is None or not subscription.admit(now):
             return False
         encoding: Encoding = subscription.compression
         if encoding == "none" and self._reader.last_was_bson:

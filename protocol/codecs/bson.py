@@ -17,7 +17,7 @@ from protocol.codecs.json import MAX_NESTING_DEPTH
 from protocol.errors import FrameError
 
 # An empty document: its length and the closing zero.
-_MIN_DOCUMENT_BYTES = 5
+MIN_DOCUMENT_BYTES = 5
 
 _HIGHEST_INT64 = 2**63 - 1
 
@@ -30,7 +30,7 @@ _PLAIN = (str, int, float, bool, type(None))
 
 def is_document(frame: bytes) -> bool:
     """Return True for a binary frame that is one BSON document: it begins with its own length and ends with zero."""
-    return len(frame) >= _MIN_DOCUMENT_BYTES and int.from_bytes(frame[:4], "little") == len(frame) and frame[-1] == 0
+    return len(frame) >= MIN_DOCUMENT_BYTES and int.from_bytes(frame[:4], "little") == len(frame) and frame[-1] == 0
 
 
 def decode(frame: bytes) -> dict[str, Any]:

@@ -130,9 +130,7 @@ def _parse_integer(numeral: str) -> int | float:
 
 def _may_be_too_deep(frame: str | bytes) -> bool:
     """Count opening brackets: few of them cannot nest deep, and most frames have few."""
-    if isinstance(frame, str) and len(frame) < _LONG_FRAME:
-        brackets = frame.count("[") + frame.count("{")
-    elif isinstance(frame, bytes):
+    if isinstance(frame, bytes):
         brackets = _count(frame, b"[", MAX_NESTING_DEPTH) + _count(frame, b"{", MAX_NESTING_DEPTH)
     else:
         brackets = _count(frame, "[", MAX_NESTING_DEPTH) + _count(frame, "{", MAX_NESTING_DEPTH)

@@ -33,7 +33,7 @@ from server.access.authorization import Authorizer, is_cancel, is_stop
 from server.errors import GraphError
 from server.gateway.client_context import ClientContext
 from server.gateway.client_requests import ClientActions, ClientServices, name_and_id
-from server.gateway.client_topics import ClientTopics, StrictPublication
+from server.gateway.client_topics import ClientTopics
 from server.gateway.inbox import Inbox, Waiting
 from server.graph.message_types import PostponedError, ReceivedMessage
 from server.graph.permissions import Identity, display_name
@@ -164,13 +164,10 @@ class Client:
         items = self.session.receive_frame(frame, self._context.clock())
         return items if self.auth.check_first_operation(items) else ()
 
-    def read_strictly(self, frame: str) -> StrictPublication | None:
-        publication = self.topics.read_strictly(frame)
-        return publication if publication is not None and self.session.reads_by_itself(frame) else None
-
-    def publish_strictly(self, publication: StrictPublication) -> bool:
+    def publish_strictly(self, frame: str) -> bool:
+        """Publish the message of a frame the strict way; False for a frame to be read the general way."""
         try:
-            return self.topics.publish_strictly(publication)
+            return self.session.reads_by_itself(frame) and self.topics.publish_strictly(frame)
         except (ProtocolError, GraphError) as error:
             self.status.refuse_error("publish", error)
         except Exception:  # a bug in serving one operation must not take the client with it

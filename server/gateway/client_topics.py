@@ -30,18 +30,9 @@ _TOPIC_WITHIN = 1024
 class StrictTopic(NamedTuple):
     """Topic on which a client has published; ``reader`` holds for the graph's ``revision``."""
 
-    spelled: str
     name: str
     revision: int
     reader: PublicationReader
-
-
-class StrictPublication(NamedTuple):
-    """Message to publish, just as its type declares it."""
-
-    frame: str
-    topic: StrictTopic
-    message: bytes
 
 
 class ClientTopics:
@@ -97,29 +88,23 @@ class ClientTopics:
         if not operation.latch:
             reader = self._graph.strict_reader(self._node, topic)
             if reader is not None and len(self._strict_topics) < MAX_STRICT_TOPICS:
-                self._strict_topics[operation.topic] = StrictTopic(operation.topic, topic, self._graph.revision, reader)
+                self._strict_topics[operation.topic] = StrictTopic(topic, self._graph.revision, reader)
 
-    def read_strictly(self, frame: str) -> StrictPublication | None:
-        """Read a message on a topic that the client has published on; None for a frame to be read the general way."""
+    def publish_strictly(self, frame: str) -> bool:
+        """Publish a message where the client has published before; False for a frame to be read the general way."""
         if not self._strict_topics:
-            return None
-        found = _TOPIC.search(frame, 0, _TOPIC_WITHIN)
-        topic = None if found is None else self._strict_topics.get(found[1])
-        if topic is None:
-            return None
-        message = topic.reader.read(frame, topic.spelled)
-        if message is None:
-            del self._strict_topics[topic.spelled]
-            return None
-        return StrictPublication(frame, topic, message)
-
-    def publish_strictly(self, publication: StrictPublication) -> bool:
-        """Publish a message of :meth:`read_strictly`; return False when its frame must be read the general way."""
-        topic, graph = publication.topic, self._graph
-        holds = topic.revision == graph.revision or graph.strict_reader(self._node, topic.name) is topic.reader
-        if not holds or not self._authorizer.may_publish(topic.spelled):
             return False
-        graph.relay(self._node, topic.name, publication.message, LIFESPAN_S)
+        found = _TOPIC.search(frame, 0, _TOPIC_WITHIN)
+        spelled = "" if found is None else found[1]
+        topic, graph = self._strict_topics.get(spelled), self._graph
+        if topic is None:
+            return False
+        holds = topic.revision == graph.revision or graph.strict_reader(self._node, topic.name) is topic.reader
+        message = topic.reader.read(frame, spelled) if holds and self._authorizer.may_publish(spelled) else None
+        if message is None:
+            del self._strict_topics[spelled]
+            return False
+        graph.relay(self._node, topic.name, message, LIFESPAN_S)
         return True
 
     def _latches(self, operation: Advertise | Publish) -> bool:

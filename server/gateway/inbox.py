@@ -19,7 +19,6 @@ from protocol.session import Packed, Refusal
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrived_in
 from server.gateway.client_context import ClientContext
-from server.gateway.client_topics import StrictPublication
 from server.graph.message_types import PostponedError, ReceivedMessage
 
 if TYPE_CHECKING:
@@ -50,7 +49,7 @@ MAX_COMPLETIONS = 3
 class Waiting:
     """Frame, or an operation of it, on its way to be carried out; ``light`` if it is so quickly, however long it is."""
 
-    item: str | bytes | Operation | Refusal | Packed | StrictPublication
+    item: str | bytes | Operation | Refusal | Packed
     size_bytes: int
     epoch: int
     repeated: bool = False
@@ -116,14 +115,9 @@ class Inbox:
                 self._begin(received, frame, until_s)
             else:
                 self._add_frame(received, frame)
-        elif not self._unread_frames and isinstance(frame, str) and (strict := self.client.read_strictly(frame)):
-            if until_s is None:
-                received.item = strict
-                self._add(received)
-            elif not self.client.publish_strictly(strict):
-                self._begin(received, frame, until_s)
         elif until_s is not None:
-            self._begin(received, frame, until_s)
+            if not (isinstance(frame, str) and self.client.publish_strictly(frame)):
+                self._begin(received, frame, until_s)
         elif not self.client.identified or self._unread_frames or not _may_be_urgent(frame):
             self._add_frame(received, frame)
         else:
@@ -173,10 +167,9 @@ class Inbox:
             self._turns.add(self)
 
     def _add(self, waiting: Waiting) -> None:
-        if not isinstance(waiting.item, StrictPublication):
-            if not self._waiting:
-                self._read_ahead_until_s = self._clock() + READ_AHEAD_S
-            self._arrived = True
+        if not self._waiting:
+            self._read_ahead_until_s = self._clock() + READ_AHEAD_S
+        self._arrived = True
         self._waiting.append(waiting)
         self._count(waiting.size_bytes)
         self._hold_or_release()
@@ -239,16 +232,13 @@ class Inbox:
         first = self._waiting.popleft()
         self._count(-first.size_bytes)
         item = first.item
-        # By far the most frequent first.
-        if isinstance(item, StrictPublication):
-            if not self.client.publish_strictly(item):
-                self._put_first(_read_of(first, self.client.read(item.frame)))
-        elif isinstance(item, str | bytes):
+        if isinstance(item, str | bytes):
             if len(item) >= LONG_FRAME_BYTES and self.client.identified:
                 self._run(lambda: self._session.receive_frame(item, self._clock()), first)
             else:
                 self._unread_frames -= 1
-                self._put_first(_read_of(first, self.client.read(item)))
+                if not (isinstance(item, str) and self.client.publish_strictly(item)):
+                    self._put_first(_read_of(first, self.client.read(item)))
         elif isinstance(item, Packed):
             self._run(lambda: [self._session.unpack(item)], first)
         elif first.repeated and isinstance(item, Operation):

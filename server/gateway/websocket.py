@@ -112,16 +112,6 @@ def accept(request: Request, protocol: ServerProtocol) -> tuple[bytes, bool]:
     return response.serialize(), response.status_code == HTTPStatus.SWITCHING_PROTOCOLS
 
 
-# Looking a member of an enumeration up takes as long as calling a function.
-_OPEN, _TEXT, _BINARY, _CONT, _PONG, _CLOSE = (
-    State.OPEN,
-    Opcode.TEXT,
-    Opcode.BINARY,
-    Opcode.CONT,
-    Opcode.PONG,
-    Opcode.CLOSE,
-)
-
 # Clients send their request at once; a slow one only holds the connection (slow loris).
 REQUEST_TIMEOUT_S = 10.0
 
@@ -360,7 +350,7 @@ class WebSocket(Transport):
                     and size_bytes <= SHORT_FRAME_BYTES
                     and not self._fragments_bytes
                     and data[begin + 1] & _MASKED
-                    and self._protocol.state is _OPEN
+                    and self._protocol.state is State.OPEN
                 ):
                     end = begin + size_bytes
                     if end > len(data):
@@ -394,20 +384,20 @@ class WebSocket(Transport):
         message: str | bytes | None = None
         for event in self._protocol.events_received():
             frame = cast(Frame, event)
-            if frame.opcode is _PONG:
+            if frame.opcode is Opcode.PONG:
                 # Let the next ping follow at its time; a pong that answers none is ignored (RFC 6455, 5.5.3).
                 if self._ping_data and bytes(frame.data) == self._ping_data:
                     self._ping_data = b""
                     latency_s = asyncio.get_running_loop().time() - self._pinged_s
                     self._call_later(max(0.0, self._settings.ping_interval_s - latency_s), self._ping)
-            elif frame.opcode is _TEXT or frame.opcode is _BINARY or frame.opcode is _CONT:
+            elif frame.opcode in (Opcode.TEXT, Opcode.BINARY, Opcode.CONT):
                 message = self._assemble(frame)
         self._flush()
         return message
 
     def _assemble(self, frame: Frame) -> str | bytes | None:
-        if frame.opcode is not _CONT:
-            self._is_text = frame.opcode is _TEXT
+        if frame.opcode is not Opcode.CONT:
+            self._is_text = frame.opcode is Opcode.TEXT
         if not frame.fin:
             self._fragments.append(bytes(frame.data))
             # An empty fragment counts too: while it is not 0, a message is in progress.
@@ -458,7 +448,7 @@ class WebSocket(Transport):
             self._close_after_replies()
 
     def end(self, reason: str, code: int = INTERNAL_ERROR) -> None:
-        if self._protocol.state is _OPEN and not self._ending:
+        if self._protocol.state is State.OPEN and not self._ending:
             self._protocol.send_close(code, reason)
             self._flush()
             self.is_open = False

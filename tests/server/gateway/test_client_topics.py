@@ -6,7 +6,7 @@ from protocol.codecs import png
 from protocol.errors import FrameError
 from protocol.limits import Limits
 from protocol.session import Session
-from server.gateway.client_topics import StrictPublication
+from server.gateway.client import Client
 from server.graph import latching
 from server.graph.node import Node
 from server.graph.permissions import Identity, Role
@@ -92,7 +92,6 @@ def test_a_remark_on_a_topic_reaches_clients_that_publish_there_already(world: I
     world.say("x", op="advertise", topic="/a", type="std_msgs/String")
     world.say("x", **publish)
     world.graph.remark({"/a": "topic /a stays here"})
-    assert world.client("x").read_strictly(json.dumps(publish)) is not None
     world.say("x", **publish)
     world.graph.remark({})
     world.say("x", **publish)
@@ -133,14 +132,17 @@ class TestLatching:
 STRING = {"topic": "/a", "type": "std_msgs/String"}
 
 
-def read_strictly(world: InProcess) -> StrictPublication:
-    """A message of y on a topic to which x has subscribed, read and not published yet."""
+FRAME = json.dumps({"op": "publish", "topic": "/a", "msg": {"data": "text"}})
+
+
+@pytest.fixture
+def publisher(world: InProcess) -> Client:
+    """The client y, which has published on a topic to which x has subscribed."""
     world.say("x", op="subscribe", **STRING)
-    frame = {"op": "publish", "topic": "/a", "msg": {"data": "text"}}
-    world.say("y", **frame)
-    publication = world.client("y").read_strictly(json.dumps(frame))
-    assert publication is not None
-    return publication
+    client = world.client("y")
+    client.receive_frame(FRAME)
+    assert len(world.heard("x")) == 1
+    return client
 
 
 class TestStrictWay:
@@ -161,33 +163,28 @@ class TestStrictWay:
         heard = [tuple(said["msg"].values()) for said in world.heard("x")]
         assert heard == [(1, 2, 3), (1, 0, 0), (4, 5, 6), (0, 7, 0)]
 
-    def test_what_was_read_before_its_topic_changed_is_read_again(self, world: InProcess) -> None:
-        publication = read_strictly(world)
-        world.say("x", op="unsubscribe", topic="/a")
-        world.client("y").leave()
-        world.clock.advance(UNREGISTER_TIMEOUT_S + 1.0)
-        world.say("x", op="subscribe", topic="/a", type="std_msgs/Int32")
-        world.heard("x")
-        assert not world.client("y").publish_strictly(publication)
+    @pytest.mark.parametrize("change", ["type", "role", "latch"])
+    def test_after_a_change_a_frame_is_read_the_general_way(
+        self, world: InProcess, publisher: Client, change: str
+    ) -> None:
+        if change == "type":
+            world.say("x", op="unsubscribe", topic="/a")
+            publisher.leave()
+            world.clock.advance(UNREGISTER_TIMEOUT_S + 1.0)
+            world.say("x", op="subscribe", topic="/a", type="std_msgs/Int32")
+        elif change == "role":
+            publisher.node.identity = Identity("y", Role.VIEW)
+            publisher._authorizer.authenticate(publisher.node.identity)
+        else:
+            world.say("y", op="advertise", latch=True, **STRING)
+        assert not publisher.publish_strictly(FRAME)
         assert world.heard("x") == []
 
-    def test_what_was_read_before_the_graph_changed_elsewhere_is_published(self, world: InProcess) -> None:
-        publication = read_strictly(world)
-        world.say("z", op="subscribe", topic="/a", type="std_msgs/String")
+    def test_a_change_of_the_graph_elsewhere_ends_nothing(self, world: InProcess, publisher: Client) -> None:
+        world.say("z", op="subscribe", **STRING)
         world.heard("z")
-        assert world.client("y").publish_strictly(publication)
+        assert publisher.publish_strictly(FRAME)
         assert [said["msg"] for said in world.heard("z")] == [{"data": "text"}]
-
-    def test_what_was_read_before_its_client_lost_its_role_is_read_again(self, world: InProcess) -> None:
-        publication, client = read_strictly(world), world.client("y")
-        client.node.identity = Identity("y", Role.VIEW)
-        client._authorizer.authenticate(client.node.identity)
-        assert not client.publish_strictly(publication)
-
-    def test_what_was_read_before_its_topic_was_latched_is_read_again(self, world: InProcess) -> None:
-        publication = read_strictly(world)
-        world.say("y", op="advertise", topic="/a", type="std_msgs/String", latch=True)
-        assert not world.client("y").publish_strictly(publication)
 
     def test_a_subscriber_that_came_too_late_gets_it_in_its_own_encoding(self, world: InProcess) -> None:
         world.say("y", op="advertise", topic="/a", type="std_msgs/Int32")
@@ -197,11 +194,11 @@ class TestStrictWay:
         packed = [json.loads(png.decode(said["data"])) for said in world.heard("x")]
         assert [each["msg"] for each in packed] == [{"data": 7}] * 2
 
-    def test_a_whole_message_behind_a_piece_of_another_is_the_end_of_that(self, world: InProcess) -> None:
-        publication = read_strictly(world)
-        world.heard("x")
-        for frame in (publication.frame[:20], publication.frame, publication.frame[20:]):
-            world.client("y").receive_frame(frame)
+    def test_a_whole_message_behind_a_piece_of_another_is_the_end_of_that(
+        self, world: InProcess, publisher: Client
+    ) -> None:
+        for frame in (FRAME[:20], FRAME, FRAME[20:]):
+            publisher.receive_frame(frame)
         assert len(world.heard("x")) == 1
 
     def test_what_is_called_topic_elsewhere_is_not_taken_for_the_operations(self, world: InProcess) -> None:

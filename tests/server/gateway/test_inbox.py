@@ -18,7 +18,6 @@ from protocol.session import Packed, Refusal, Session
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE
 from server.arrival import arrival_epoch
-from server.gateway.client_topics import StrictPublication, StrictTopic
 from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, STOP_TURN_S, Inbox, Waiting
 from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, ClientScheduling, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
@@ -28,7 +27,6 @@ from tests.helpers.messages import REGISTRY
 from tests.helpers.rules import server_rules
 
 TYPES = MessageTypes(REGISTRY)
-READER = TYPES.strict_reader("std_msgs/msg/String")
 
 
 class Later:
@@ -84,7 +82,6 @@ class Handler:
     def __init__(self, world: World, name: str, step_s: float) -> None:
         self._world, self._name, self._step_s = world, name, step_s
         self.identified = True
-        self.changed_topics: set[str] = set()
         self.session = Session()
         self.socket = UnreadSocket()
         context = SimpleNamespace(
@@ -99,18 +96,12 @@ class Handler:
     def read(self, frame: str | bytes) -> Sequence[Operation | Refusal | Packed]:
         return self.session.receive_frame(frame, self._world.clock())
 
-    def read_strictly(self, frame: str) -> StrictPublication | None:
+    def publish_strictly(self, frame: str) -> bool:
         operation = self.session.peek(frame)
-        if isinstance(operation, Publish) and operation.topic.startswith("/strict"):
-            return StrictPublication(frame, StrictTopic(operation.topic, operation.topic, 0, READER), b"")
-        return None
-
-    def publish_strictly(self, publication: StrictPublication) -> bool:
-        if publication.topic.name in self.changed_topics:
-            return False
-        self._world.done.append(f"{self._name}{publication.topic.name}")
-        self._world.clock.advance(self._step_s)
-        return True
+        is_strict = isinstance(operation, Publish) and operation.topic.startswith("/strict")
+        if operation is not None and is_strict:
+            self._note(operation)
+        return is_strict
 
     def carry_out(self, item: Operation | Refusal, waiting: Waiting) -> None:
         if isinstance(item, Publish) and item.topic == "/large":
@@ -197,16 +188,6 @@ def test_a_stop_goes_ahead_of_what_is_published_strictly(world: World, client: H
     assert world.done == ["/strict"] * 2 + ["/stop"]
     world.run()
     assert world.done.count("/strict") == 20
-
-
-def test_what_cannot_be_published_strictly_any_more_is_read_the_general_way(world: World, client: Handler) -> None:
-    client.publish("/1", "/2")
-    client.publish("/strict3")
-    client.publish("/4")
-    client.changed_topics.update(("/strict3", "/strict5"))
-    world.run()
-    client.publish("/strict5")
-    assert world.done == ["/1", "/2", "/strict3", "/4", "/strict5"]
 
 
 def test_a_long_frame_of_few_values_is_carried_out_at_once(world: World) -> None:

@@ -11,8 +11,6 @@ from robot.description.model import RobotModel
 from robot.messages import ArmState
 from server.actionlib import ActionlibBridge
 from server.config import Settings
-from server.execution.goal import Answer, Goal, Progress
-from server.execution.queue import GoalListener
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
@@ -117,60 +115,37 @@ class ArmGoals(Feature):
     name = "goals of the arms"
 
     def __init__(self, context: ServerContext) -> None:
-        self._goals_of = {arm.name: _GoalsOfArm(arm) for arm in context.arms}
-        actions = (action for each in self._goals_of.values() for action in each.actions)
-        self._actions = (*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, REPUBLISHER_ACTION, *actions)
+        self._controllers: dict[str, list[JointTrajectoryController]] = {}
+        self._actions = [*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, REPUBLISHER_ACTION]
+        for arm in context.arms:
+            self._offer(arm)
         self._actionlib = ActionlibBridge(context.graph, time.monotonic, call_later)
 
     async def start(self) -> None:
         self._actionlib.open(self._actions)
 
     def on_state(self, arm: str, state: ArmState) -> None:
-        self._goals_of[arm].take_state(state)
+        for controller in self._controllers[arm]:
+            controller.take_state(state)
 
-
-class _GoalsOfArm(GoalListener):
-    """Goals of one arm; goals of several arms are published by the names of each arm that they move as well."""
-
-    def __init__(self, arm: ArmContext) -> None:
+    def _offer(self, arm: ArmContext) -> None:
+        """Offer goals of an arm; goals of several arms are published by the names of each arm that they move too."""
         graph, goals, planning = arm.graph, arm.goals, arm.planning
-        self._arm = arm
-        self._status = GoalStatusTopics(graph, arm.node, planning.robot)
+        goals.queue.listeners.append(GoalStatusTopics(graph, arm.node, planning.robot, arm.only_joints))
         GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
         GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
         default = planning_group(planning.robot, "", arm.parameters).name
         trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)
-        self._controllers = []
+        controllers = self._controllers[arm.name] = []
         for group in arm.robot.groups.values():
-            name = group.name.removeprefix(arm.served.prefix)
-            self._controllers.append(
-                JointTrajectoryController(
-                    graph, group, arm.served.arm, trajectories, name, industrial=group.name == default
-                )
+            name, industrial = group.name.removeprefix(arm.served.prefix), group.name == default
+            controllers.append(
+                JointTrajectoryController(graph, group, arm.served.arm, trajectories, name, industrial=industrial)
             )
+        self._actions += [graph.resolve(name) for each in controllers for name in each.actions]
         if arm.gripper is not None:
             offer_gripper(graph, arm.gripper)
-        names = [name for each in self._controllers for name in each.actions]
-        self.actions = tuple(map(graph.resolve, (*names, *(() if arm.gripper is None else GRIPPER_ACTIONS))))
-        goals.queue.listeners.append(self)
-
-    def take_state(self, state: ArmState) -> None:
-        for controller in self._controllers:
-            controller.take_state(state)
-
-    def on_progress(self, goal: Goal, progress: Progress) -> None:
-        if self._is_here(goal):
-            self._status.publish_progress(goal, progress)
-
-    def on_answer(self, goal: Goal, answer: Answer) -> None:
-        if self._is_here(goal):
-            # All goals are logged once, as goals of the whole.
-            self._status.publish_answer(goal, answer, logged=bool(self._arm.name))
-
-    def _is_here(self, goal: Goal) -> bool:
-        """Return True for a goal that moves the arm, or was sent to it and refused."""
-        arm, request = self._arm, goal.request
-        return not arm.name or bool(request.joints & arm.joints) or request.source.startswith(arm.graph.resolve("/"))
+            self._actions += map(graph.resolve, GRIPPER_ACTIONS)
 
 
 class GoalQueueing(Feature):

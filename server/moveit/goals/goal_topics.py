@@ -15,7 +15,7 @@ from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, key_values
 from server.errors import RefusedError
 from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Joints, PlannedMotion, PlannedSequence
-from server.execution.queue import GoalQueue
+from server.execution.queue import GoalListener, GoalQueue
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import CANCELLING, CONFIGURING, GOAL, STOP_EVENT, STOPPING, SWITCHING, WORKING
@@ -146,26 +146,30 @@ def _is_proposed(goal: Goal) -> bool:
     return isinstance(goal.request.motion, PlannedMotion) and goal.request.motion.proposed
 
 
-class GoalStatusTopics:
-    """Topics for the status of all goals and the results of those on ``/moveit_goal_*``."""
+class GoalStatusTopics(GoalListener):
+    """Topics for the status of all goals and the results of those on ``/moveit_goal_*``; with joints, of one arm's."""
 
-    def __init__(self, graph: LocalGraph, node: Node, robot: RobotModel) -> None:
+    def __init__(self, graph: LocalGraph, node: Node, robot: RobotModel, joints: Joints | None = None) -> None:
         self._graph = graph
         self._node = node
         self._robot = robot
+        self._joints = joints
         self._sources = tuple(map(graph.resolve, (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC)))
         self._graph.advertise(self._node, RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
         self._graph.advertise(self._node, STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
 
-    def publish_progress(self, goal: Goal, progress: Progress) -> None:
-        self._publish(goal, STATUS_TOPIC, _status(goal, progress, LEVEL_OK, {}))
+    def on_progress(self, goal: Goal, progress: Progress) -> None:
+        if self._is_here(goal):
+            self._publish(goal, STATUS_TOPIC, _status(goal, progress, LEVEL_OK, {}))
 
-    def publish_answer(self, goal: Goal, answer: Answer, *, logged: bool = False) -> None:
-        """Publish the final status of a goal, then the result of a goal from a topic; its end may be logged already."""
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
+        """Publish the final status of a goal, then the result of a goal from a topic."""
+        if not self._is_here(goal):
+            return
         status = final_status(goal, answer, self._robot)
         level = logging.INFO if answer.code is MoveItErrorCode.SUCCESS else logging.WARNING
-        # A goal without permission is logged where the permission is checked.
-        if goal.request.only_for is None and not logged and not goal.unlogged:
+        # A goal without permission is logged where the permission is checked, and others once, as goals of all arms.
+        if goal.request.only_for is None and self._joints is None and not goal.unlogged:
             fields = {"goal": goal.goal_id, "client": str(goal.request.client), "code": answer.code.name}
             sentence = "goal %s from %s: %s: %s"
             values = goal.goal_id, goal.request.source, answer.code.name, status["message"]
@@ -174,6 +178,11 @@ class GoalStatusTopics:
         if goal.request.source in self._sources:
             source = f"{goal.request.source}#{goal.goal_id}"
             self._publish(goal, RESULT_TOPIC, {"val": int(answer.code), "message": status["message"], "source": source})
+
+    def _is_here(self, goal: Goal) -> bool:
+        """Return True for a goal that moves the arm, or was sent to it and refused."""
+        joints, request = self._joints, goal.request
+        return joints is None or bool(request.joints & joints) or request.source.startswith(self._graph.resolve("/"))
 
     def _publish(self, goal: Goal, topic: str, message: Mapping[str, Any]) -> None:
         # Other clients wait for the end of goals of their own.

@@ -32,7 +32,7 @@ class Desk(ActionDesk):
         super().__init__()
         graph, node = LocalGraph(self.graph), Node("moveit")
         self.confirmation = goal_topics.Confirmation(self.graph, enabled=False, timeout_s=60.0)
-        self.status = goal_topics.GoalStatusTopics(graph, node, ROBOT)
+        self.queue.listeners.append(goal_topics.GoalStatusTopics(graph, node, ROBOT))
         goal_topics.GoalTopics(graph, node, self.queue, translator(), self.confirmation)
         self.heard = {
             topic: listen(self.graph, topic) for topic in (goal_topics.RESULT_TOPIC, goal_topics.STATUS_TOPIC)
@@ -43,12 +43,6 @@ class Desk(ActionDesk):
         if not self.waits:
             asyncio.get_running_loop().call_soon(self.finish)
         return await super().run(goal)
-
-    def on_progress(self, goal: Goal, progress: Progress) -> None:
-        self.status.publish_progress(goal, progress)
-
-    def on_answer(self, goal: Goal, answer: Answer) -> None:
-        self.status.publish_answer(goal, answer)
 
     async def publish(self, topic: str, message: dict[str, Any]) -> None:
         self.graph.publish(CLIENT, topic, message)

@@ -58,6 +58,28 @@ CANCEL_TIMEOUT_S = 1.0
 
 ENDING_TIMEOUT_S = 0.1  # a process whose socket is closed is about to end; its exit code comes a moment later
 
+# Checks take milliseconds and have no allowed time of their own. An arm that moves waits for CHECK_TIME_S at most. A
+# question about a state may wait: the first one among 600 boxes took 2 s beside a dozen busy processes.
+CHECK_TIME_S = 1.0
+STATE_TIME_S = 10.0
+MAX_ALLOWED_TIME_S = 3600.0  # no request holds a worker for longer, whatever it allows itself
+
+# Size of a scene that a worker sets up in 0.1 s at most: 100 boxes take 9 ms, a mesh of 10 000 triangles 20 ms. The
+# largest scenes take 0.2 s, nearly as long as a cancel may take.
+BRIEF_SCENE_BYTES = PART_BYTES
+
+# Time beyond the allowed time after which a worker is given up: it may set up a large scene or finish its checks.
+OVERTIME_S = 1.0
+
+# A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
+MEMORY_LIMIT_BYTES = 1_024_000_000
+
+# Failed starts in a row after which there is a pause before each further one.
+MAX_FAILED_STARTS = 3
+RESTART_PAUSE_S = 5.0
+
+CLOSE_TIMEOUT_S = 2.0  # processes that were being ended when the pool closed are gone within milliseconds
+
 # Called with the allowed time that a problem has taken [s] when this is longer than most take.
 OnHard: TypeAlias = Callable[[float], None] | None
 
@@ -182,31 +204,6 @@ class WorkerProcess:
     def _resolve(self, answer: Answer | None) -> None:
         if self._answer is not None and not self._answer.done():
             self._answer.set_result(answer)
-
-
-log = logging.getLogger("armbridge.planners")
-
-# Checks take milliseconds and have no allowed time of their own. An arm that moves waits for CHECK_TIME_S at most. A
-# question about a state may wait: the first one among 600 boxes took 2 s beside a dozen busy processes.
-CHECK_TIME_S = 1.0
-STATE_TIME_S = 10.0
-MAX_ALLOWED_TIME_S = 3600.0  # no request holds a worker for longer, whatever it allows itself
-
-# Size of a scene that a worker sets up in 0.1 s at most: 100 boxes take 9 ms, a mesh of 10 000 triangles 20 ms. The
-# largest scenes take 0.2 s, nearly as long as a cancel may take.
-BRIEF_SCENE_BYTES = PART_BYTES
-
-# Time beyond the allowed time after which a worker is given up: it may set up a large scene or finish its checks.
-OVERTIME_S = 1.0
-
-# A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
-MEMORY_LIMIT_BYTES = 1_024_000_000
-
-# Failed starts in a row after which there is a pause before each further one.
-MAX_FAILED_STARTS = 3
-RESTART_PAUSE_S = 5.0
-
-CLOSE_TIMEOUT_S = 2.0  # processes that were being ended when the pool closed are gone within milliseconds
 
 
 def allowed_time_s(request: Request) -> float:

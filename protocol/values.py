@@ -7,6 +7,7 @@ null comes back as NaN), and in a list true and false for numbers (a gamepad's b
 
 from __future__ import annotations
 
+import functools
 import math
 import struct
 from collections.abc import Callable
@@ -16,7 +17,7 @@ import msgspec
 import pybase64
 
 from protocol.errors import MessageError, describe
-from protocol.registry import TEXTS, Field
+from protocol.registry import MAX_COMPILED_TYPES, TEXTS, Field
 
 T = TypeVar("T")
 Primitive: TypeAlias = bool | int | float | str
@@ -109,6 +110,7 @@ def element_converter(name: str, max_length: int | None = None) -> Convert:
     return lambda value: convert(int(value) if type(value) is bool else value)
 
 
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def list_converter(name: str, max_length: int | None = None) -> ConvertList:
     """Return the quick way for lists in which every element fits; it returns None for any other list."""
     # Infinities of 32 bits are beyond the bounds of the strict type.

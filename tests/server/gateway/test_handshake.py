@@ -130,6 +130,7 @@ LONG_LINE = f"/{'x' * MAX_LINE_BYTES}"
         (plain(Transfer_Encoding="chunked"), HTTPStatus.BAD_REQUEST),
         (plain(X="a\r\n folded"), HTTPStatus.BAD_REQUEST),
         (request([*PLAIN.items()], "get / HTTP/1.1"), HTTPStatus.BAD_REQUEST),
+        (request([*PLAIN.items()], "GET / HTTP/2"), HTTPStatus.BAD_REQUEST),
         (request([], f"GET {LONG_LINE} HTTP/1.1"), HTTPStatus.REQUEST_URI_TOO_LONG),
         (LONG_LINE.encode(), HTTPStatus.REQUEST_URI_TOO_LONG),
         (plain(X="x" * MAX_HEAD_BYTES), HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE),

@@ -150,7 +150,7 @@ class GoalExecutor:
         self._arm = arm
         self._context, self._scene = context, context.scene
         self._in_progress = in_progress
-        self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s)
+        self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s, context.clock)
         self.recorder = MotionRecorder()
         self._player = Player(arm, context.robot, self._scene_monitor, in_progress, context.clock)
         # Times that recent checks of trajectories in motion took [s]; the first is checked within the horizon.

@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import time
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, TypeAlias
 
@@ -136,9 +135,7 @@ class SceneMonitor:
     both from the cores.
     """
 
-    def __init__(
-        self, pool: Planners, scene: CurrentScene, retry_for_s: float, clock: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, pool: Planners, scene: CurrentScene, retry_for_s: float, clock: Callable[[], float]) -> None:
         self._pool, self._scene = pool, scene
         self._retry_for_s, self._clock = retry_for_s, clock
         self._checked_version = 0

@@ -145,15 +145,15 @@ class HttpGoals:
             known = ", ".join(self._arms) or "none, this server has one arm"
             raise _RefusedError(f"field arm: {describe(arm)} is unknown; known: {known}")
         prefix = f"/{arm}" if arm else ""
+        if request.get("stop"):
+            # Somebody wants the arm to stop, whatever else the request says.
+            return CallService(service=f"{prefix}{STOP_SERVICE}", args={})
         given = [name for name in TARGETS if name in request]
         if len(given) != 1:
             got = " and ".join(given) or "none"
             raise _RefusedError(f"exactly one of {', '.join(TARGETS)} must be given, not {got}")
         if given == ["stop"]:
-            _check_fields(request, ("stop",), "")
-            if request["stop"] is not True:
-                raise _RefusedError(f"field stop: must be true, not {describe(request['stop'])}")
-            return CallService(service=f"{prefix}{STOP_SERVICE}", args={})
+            raise _RefusedError(f"field stop: must be true, not {describe(request['stop'])}")
         if given == ["gripper"]:
             _check_fields(request, ("gripper",), "")
             command = request["gripper"]

@@ -65,15 +65,17 @@ class Stage(CurrentScene):
         self.scene = Scene(1)
         self.meanwhile: Callable[[], object] = lambda: None
         self.failures: list[PlanningFailure] = []
-        self.planners_answer, self.meetings_answer = asyncio.Event(), asyncio.Event()
+        self.planners_answer, self.checks_answer = asyncio.Event(), asyncio.Event()
         self.planners_answer.set()
-        self.meetings_answer.set()
+        self.checks_answer.set()
         self.contact: PlanningFailure | None = None
+        self.late: PlanningFailure | None = None
         self.meeting: PlanningFailure | None = None
         self.recheck_s = 0.0
         self.problems: list[PlanningProblem] = []
         self.scenes: list[int] = []
         self.rechecked: list[RecheckQuestion] = []
+        self.checked_in: list[int] = []
         self.meetings: list[ConcurrencyQuestion] = []
         self.in_progress = MotionsInProgress()
         self.news: list[Progress] = []
@@ -89,11 +91,13 @@ class Stage(CurrentScene):
     async def ask(self, request: Any, scene: Scene) -> Any:
         if isinstance(request, RecheckQuestion):
             self.rechecked.append(request)
+            self.checked_in.append(scene.version)
             self.clock.advance(self.recheck_s)
-            return RecheckAnswer(self.contact)
+            await self.checks_answer.wait()
+            return self.late or RecheckAnswer(self.contact)
         if isinstance(request, ConcurrencyQuestion):
             self.meetings.append(request)
-            await self.meetings_answer.wait()
+            await self.checks_answer.wait()
             return RecheckAnswer(self.meeting)
         if isinstance(request, NearestGoalQuestion):
             return NearestGoalAnswer(None)
@@ -131,6 +135,12 @@ class Stage(CurrentScene):
 
     def put_wall(self, version: int) -> None:
         self.scene, self.contact = Scene(version), WALL
+
+    async def change(self, version: int) -> None:
+        """Change the scene, and let it be checked."""
+        self.scene = Scene(version)
+        self.changed()
+        await settle()
 
     def pass_time(self, seconds: float) -> None:
         """Let the same time pass on this machine's clock and on the arm's."""
@@ -265,8 +275,6 @@ async def test_an_external_trajectory_is_checked_and_played_from_where_the_arm_h
     assert stage.arm.played[0].positions_rad[0, 0] == 0.02
     assert stage.rechecked[0].trajectory is stage.arm.played[0]
     assert set(stage.rechecked[0].others_rad) == {"gripper"}
-    # In a motion, planners are awaited as long as the arm.
-    assert stage.executor._scene_monitor._retry_for_s == stage.arm.state_max_age_s
 
 
 async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_path: Path) -> None:
@@ -291,9 +299,8 @@ async def test_every_outcome_has_its_code_and_message_and_ends_the_monitoring(st
     answer = await stage.answer()
     assert (answer.code, answer.message) == (CODE_OF_OUTCOME[outcome], "that is how it went")
     assert answer.details == {"outcome": outcome.value}
-    stage.put_wall(2)
-    stage.changed()
-    await settle()
+    stage.contact = WALL
+    await stage.change(2)
     assert stage.rechecked == []
 
 
@@ -311,9 +318,8 @@ async def test_a_motion_whose_goal_ends_by_an_error_is_braked(stage: Stage) -> N
 async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details() -> None:
     stage = Stage(StubbornArm())
     await stage.begin(to(shoulder_pan=0.4))
-    stage.put_wall(2)
-    stage.changed()
-    await settle()
+    stage.contact = WALL
+    await stage.change(2)
     assert len(stage.arm.stops) == 1
     stage.goal.cancel("too late")
     stage.arm.end(Outcome.STOPPED, "stopped half-way")
@@ -328,10 +334,49 @@ async def test_the_scene_monitor_asks_about_the_rest_of_the_motion_and_on_the_wa
 ) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(direction=direction))
-    stage.put_wall(2)
-    stage.changed()
-    await settle()
+    stage.contact = WALL
+    await stage.change(2)
     assert stage.rechecked[0].from_s == from_s
+
+
+async def test_changes_during_a_check_are_checked_together(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.checks_answer.clear()
+    for version in range(2, 102):
+        await stage.change(version)
+    stage.checks_answer.set()
+    await settle()
+    assert stage.checked_in == [2, 101]
+    await stage.arrive()
+
+
+async def test_a_motion_that_has_ended_is_checked_no_more(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.checks_answer.clear()
+    stage.contact = WALL
+    await stage.change(2)
+    await stage.arrive()
+    stage.checks_answer.set()
+    await stage.change(3)
+    assert stage.checked_in == [2]
+
+
+async def test_a_scene_that_changed_during_the_check_before_the_motion_is_checked(stage: Stage) -> None:
+    stage.meanwhile = lambda: setattr(stage, "scene", Scene(2))
+    stage.checks_answer.clear()
+    await stage.begin(to(shoulder_pan=0.4))
+    await stage.change(3)
+    stage.checks_answer.set()
+    await settle()
+    assert stage.checked_in == [2, 3]
+
+
+async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_the_motion(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.late, stage.recheck_s = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late"), 0.6 * stage.arm.state_max_age_s
+    await stage.change(2)
+    assert (await stage.answer()).code is MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE
+    assert stage.checked_in == [2, 2]
 
 
 class WornDeadline(ExecutionDeadline):
@@ -636,9 +681,7 @@ async def test_the_monitor_asks_about_motions_beside_as_well(stage: Stage) -> No
     await stage.begin(to(shoulder_pan=0.4))
     beside(stage)
     stage.meeting = MIGHT_TOUCH
-    stage.scene = Scene(2)
-    stage.changed()
-    await settle()
+    await stage.change(2)
     assert (await stage.answer()).message.startswith("the finger may touch the arm")
 
 
@@ -674,11 +717,11 @@ async def test_a_motion_that_was_announced_and_not_begun_is_forgotten(stage: Sta
 
 async def test_a_motion_that_begins_during_the_last_check_is_checked_as_well(stage: Stage) -> None:
     first = beside(stage)
-    stage.meetings_answer.clear()
+    stage.checks_answer.clear()
     await stage.begin(to(shoulder_pan=0.4))
     first.set_result(MotionEnded(1, Outcome.REACHED, "there"))
     beside(stage)
-    stage.meetings_answer.set()
+    stage.checks_answer.set()
     await settle()
     assert len(stage.meetings) == 2
     assert len(stage.arm.played) == 1

@@ -1,20 +1,15 @@
-import asyncio
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
 
-from planners.problem import MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
-from planners.scene import Scene
+from planners.problem import MoveItErrorCode
 from robot.arm import Arm
 from robot.arm_group import ArmGroup
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
-from server.execution.monitors import CurrentScene, CurrentState, SceneMonitor, check_ready
-from tests.helpers.clock import FakeClock
-from tests.helpers.fake_arm import settle
-from tests.helpers.motions import smooth_move
+from server.execution.monitors import CurrentState, check_ready
 from tests.helpers.moveit import rejection
 from tests.helpers.robots import so101
 
@@ -73,81 +68,3 @@ def test_an_old_state_refuses_motions(age_s: float, max_age_s: float) -> None:
     refused = rejection(check_ready, Read(HOLDING, age_s, max_age_s))
     assert refused.code is MoveItErrorCode.ROBOT_STATE_STALE
     assert refused.message == f"the last state of the arm is {age_s:.1f} s old (limit {max_age_s:g} s)"
-
-
-QUESTION = RecheckQuestion("arm", smooth_move({"a": (0.0, 1.0)}, 1.0), {}, 0.0)
-WALL = PlanningFailure(MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "would touch the wall")
-TOO_LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "the planner did not answer within 1 s and was given up")
-
-
-class Place(CurrentScene):
-    """A scene that a test changes, and planners that look at it in 2 s, when the test lets them."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.scene, self.clock = Scene(1), FakeClock()
-        self.answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
-        self.looked: list[int] = []
-        self.contacts: list[PlanningFailure] = []
-        self.go_on = asyncio.Event()
-        self.go_on.set()
-
-    def change(self) -> None:
-        self.scene = Scene(self.scene.version + 1)
-        self.changed()
-
-    async def ask(self, _question: RecheckQuestion, scene: Scene) -> RecheckAnswer | PlanningFailure:
-        self.looked.append(scene.version)
-        self.clock.advance(2.0)
-        await self.go_on.wait()
-        return self.answer
-
-    def watch(self) -> SceneMonitor:
-        """Watch a motion of an arm whose states may be 5 s old."""
-        monitor = SceneMonitor(cast("Any", self), self, 5.0, self.clock)
-        monitor.start(1, lambda: (QUESTION,), self.contacts.append)
-        return monitor
-
-
-async def test_changes_during_a_check_are_checked_together() -> None:
-    place = Place()
-    place.watch()
-    place.go_on.clear()
-    for _ in range(100):
-        place.change()
-        await settle()
-    place.go_on.set()
-    await settle()
-    assert (place.looked, place.contacts) == ([2, 101], [])
-
-
-async def test_a_motion_that_has_ended_is_checked_no_more() -> None:
-    place = Place()
-    monitor = place.watch()
-    place.go_on.clear()
-    place.answer = RecheckAnswer(WALL, 0.5)
-    place.change()
-    await settle()
-    monitor.stop()
-    place.go_on.set()
-    place.change()
-    await settle()
-    assert (place.looked, place.contacts) == ([2], [])
-
-
-async def test_a_scene_that_changed_before_the_motion_began_is_checked() -> None:
-    place = Place()
-    place.change()
-    place.watch()
-    await settle()
-    assert place.looked == [2]
-
-
-async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_the_motion() -> None:
-    place = Place()
-    place.watch()
-    place.answer = TOO_LATE
-    place.change()
-    await settle()
-    assert [contact.code for contact in place.contacts] == [MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE]
-    assert place.looked == [2, 2, 2]

@@ -116,6 +116,11 @@ async def test_a_stop_needs_no_more_than_the_right_to_look(door: Door) -> None:
     assert await door.post({"stop": True}, token=VIEWER) == (200, {"success": True, "message": "stopped"})
 
 
+async def test_a_stop_beside_other_fields_or_of_another_type_stops(door: Door) -> None:
+    for asked in ({**READY, "stop": True}, {"stop": 1}, {"stop": "now", "speed": 3}):
+        assert await door.post(asked) == (200, {"success": True, "message": "stopped"}), asked
+
+
 @pytest.mark.parametrize(
     ("end", "status", "message"),
     [
@@ -143,9 +148,9 @@ async def test_the_gripper_is_a_goal_of_its_own(door: Door, end: Any, status: in
         (b"[" * 20_000, (), 400, "the body is no JSON"),
         ([1], (), 400, "the body must be a JSON object, not a list of 1"),
         ({}, (), 400, "exactly one of named, joints, pose, gripper, stop must be given, not none"),
-        ({**READY, "stop": True}, (), 400, "not named and stop"),
+        ({**READY, "stop": False}, (), 400, "not named and stop"),
         ({**READY, "speed": 1}, (), 400, "field speed: unknown here; known: named, joints, pose, group"),
-        ({"stop": 1}, (), 400, "field stop: must be true, not 1"),
+        ({"stop": False}, (), 400, "field stop: must be true, not false"),
         ({"gripper": 0.5}, (), 400, "field gripper: must be an object with position, not 0.5"),
         ({"gripper": {"position": 0, "speed": 1}}, (), 400, "field gripper.speed: unknown here"),
         ({"gripper": {"position": "wide"}}, (), 422, "command.position"),

@@ -96,7 +96,7 @@ class ServerStage:
         self.teleoperation._context = replace(self.teleoperation._context, clock=clock)
         executors = self.context.goals.executors
         executors._context = replace(executors._context, clock=clock)
-        for controller in (each for goals_of in goals[1]._goals_of.values() for each in goals_of._controllers):
+        for controller in (each for controllers in goals[1]._controllers.values() for each in controllers):
             controller._context = replace(controller._context, clock=clock)
             controller._stream._clock = clock
         for each in chunks._of_arms:

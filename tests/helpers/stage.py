@@ -96,7 +96,7 @@ class ServerStage:
         self.teleoperation._context = replace(self.teleoperation._context, clock=clock)
         executors = self.context.goals.executors
         executors._context = replace(executors._context, clock=clock)
-        for controller in (each for of_arm in goals[1]._controllers.values() for each in of_arm):
+        for controller in (each for controllers in goals[1]._controllers.values() for each in controllers):
             controller._context = replace(controller._context, clock=clock)
             controller._stream._clock = clock
         for each in chunks._of_arms:

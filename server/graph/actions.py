@@ -24,6 +24,7 @@ from server.graph.message_types import MessageTypes
 from server.graph.node import Node
 from server.graph.permissions import Rule
 from server.graph.providers import PendingRequest, Provider, Providers
+from server.graph.services import CompleteResponse
 from server.timers import CallLater
 
 if TYPE_CHECKING:
@@ -101,10 +102,13 @@ class ActionGoal(PendingRequest[Result]):
             self._on_feedback(completed)
 
     def finish(self, status: GoalStatus, values: object) -> None:
-        """End the goal with a result message; what it leaves out gets its default.
+        """End the goal with a result message; what it leaves out gets its default, unless it is a `CompleteResponse`.
 
         Raises MessageError for values that do not fit: the goal has failed, and its sender knows.
         """
+        if isinstance(values, CompleteResponse):
+            self._end(Result(ok=True, status=status, values=values.message))
+            return
         try:
             completed = self._message_types.complete(f"{self.type_name}_Result", values)
         except MessageError as error:

@@ -26,7 +26,7 @@ log = logging.getLogger("armbridge.graph")
 
 @dataclass(frozen=True)
 class CompleteResponse:
-    """A large response message that is complete and valid already; nobody may change it any more."""
+    """A large response, or result of an action, that is complete and valid already; nobody may change it any more."""
 
     message: Mapping[str, Any]
 
@@ -119,13 +119,13 @@ def failure_told(call: Call) -> Iterator[None]:
         call.fail(f"Service {call.service} failed inside the server")
 
 
-Work: TypeAlias = Callable[[Mapping[str, Any]], Awaitable[dict[str, Any]]]
+Work: TypeAlias = Callable[[Mapping[str, Any]], Awaitable[Answered]]
 
 
 def telling(name: str, work: Work, log: logging.Logger) -> Work:
     """Return a service that answers a refusal by its fields ``success`` and ``message``, and logs it."""
 
-    async def serve(request: Mapping[str, Any]) -> dict[str, Any]:
+    async def serve(request: Mapping[str, Any]) -> Answered:
         try:
             return await work(request)
         except (ServiceError, RefusedError) as error:

@@ -1,16 +1,18 @@
 """Topics for viewers: planned motions, contacts, and the state of the pipeline."""
 
+import asyncio
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from protocol.messages import Stamp
 from robot.description.model import RobotModel
+from robot.trajectory import Trajectory
 from server.execution.monitors import state_message
 from server.execution.motions import Performed
 from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.messages import Message
-from server.moveit.trajectories import to_message
+from server.moveit.trajectories import is_long, to_message, to_messages
 
 PATH_TOPIC = "/display_planned_path"
 CONTACTS_TOPIC = "/display_contacts"
@@ -38,20 +40,34 @@ class DisplayTopics:
         self._graph = graph
         self._robot = robot
         self._node = Node("display")
+        # A long motion that is still to be shown, unless another comes first.
+        self._writing: asyncio.Task[None] | None = None
         self._graph.advertise(self._node, PATH_TOPIC, "moveit_msgs/DisplayTrajectory", latch=True)
         self._graph.advertise(self._node, CONTACTS_TOPIC, "visualization_msgs/MarkerArray")
         self._graph.advertise(self._node, PIPELINE_TOPIC, "moveit_msgs/PipelineState")
 
     def performed(self, performed: Performed) -> None:
         """Show motions that are about to be executed, one after the other."""
-        root = self._robot.root_link
-        start = state_message(dict(performed.start_rad), root, 0.0)
-        self.trajectories([to_message(motion, root) for motion in performed.planned], start)
+        start = state_message(dict(performed.start_rad), self._robot.root_link, 0.0)
+        if is_long(performed.planned):
+            self._stop_writing()
+            self._writing = asyncio.create_task(self._show_long(performed.planned, start), name="shown motion")
+        else:
+            self.trajectories([to_message(motion, self._robot.root_link) for motion in performed.planned], start)
+
+    async def _show_long(self, planned: Sequence[Trajectory], start: Message) -> None:
+        trajectories, self._writing = await to_messages(planned, self._robot.root_link), None
+        self.trajectories(trajectories, start)
 
     def trajectories(self, trajectories: Sequence[Message], start: Message) -> None:
         """Show planned motions, one after the other, that are written already."""
+        self._stop_writing()
         message = {"model_id": self._robot.name, "trajectory": list(trajectories), "trajectory_start": start}
         self._graph.publish(self._node, PATH_TOPIC, message, prevalidated=True)
+
+    def _stop_writing(self) -> None:
+        if self._writing is not None:
+            self._writing.cancel()
 
     def pipeline(self, request: Message, response: Message) -> None:
         """Publish a request to the planners and its response, if there are subscribers."""

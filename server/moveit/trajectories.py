@@ -1,7 +1,8 @@
 """Trajectories in messages: moveit_msgs/RobotTrajectory written, trajectory_msgs/JointTrajectory read."""
 
+import asyncio
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +10,6 @@ import numpy as np
 from ruckig import RuckigError
 
 from planners.problem import MoveItErrorCode
-from protocol.messages import Stamp
 from robot.control.checks import VELOCITY_TOLERANCE, refusal
 from robot.description.limits import JointBounds, motion_limits
 from robot.description.model import Group, RobotModel
@@ -26,6 +26,9 @@ SAME_POSITION_RAD = 1e-4
 
 # A hundred seconds at 100 Hz, ten minutes at 16 Hz. They are read and checked in 20 ms.
 MAX_POINTS = 10_000
+
+# Points that are written at once: ten seconds of a motion, in 4 ms. Half an hour of it takes 0.6 s.
+POINTS_AT_ONCE = 1000
 
 
 def read_seconds(message: Message, where: str) -> float:
@@ -47,6 +50,20 @@ def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]
         },
         "multi_dof_joint_trajectory": {"header": header, "joint_names": [], "points": []},
     }
+
+
+def is_long(trajectories: Sequence[Trajectory]) -> bool:
+    """Return True for motions that take longer to write than everybody may be kept waiting."""
+    return sum(len(each.time_s) for each in trajectories) > POINTS_AT_ONCE
+
+
+async def to_messages(trajectories: Sequence[Trajectory], frame: str) -> list[Message]:
+    """Write moveit_msgs/RobotTrajectory messages; a thread writes those of long motions."""
+
+    def write() -> list[Message]:
+        return [to_message(each, frame) for each in trajectories]
+
+    return await asyncio.to_thread(write) if is_long(trajectories) else write()
 
 
 @dataclass(frozen=True)
@@ -254,16 +271,18 @@ def read_points(
 
 
 def _points(trajectory: Trajectory) -> list[dict[str, Any]]:
+    seconds, nanoseconds = np.divmod(np.rint(trajectory.time_s * NANOSECONDS_PER_S).astype(np.int64), NANOSECONDS_PER_S)
     return [
         {
             "positions": positions,
             "velocities": velocities,
             "accelerations": accelerations,
             "effort": [],
-            "time_from_start": Stamp.from_seconds(time_s).as_message(),
+            "time_from_start": {"sec": sec, "nanosec": nanosec},
         }
-        for time_s, positions, velocities, accelerations in zip(
-            trajectory.time_s.tolist(),
+        for sec, nanosec, positions, velocities, accelerations in zip(
+            seconds.tolist(),
+            nanoseconds.tolist(),
             trajectory.positions_rad.tolist(),
             trajectory.velocities_rad_s.tolist(),
             trajectory.accelerations_rad_s2.tolist(),

@@ -13,7 +13,7 @@ from robot.trajectory import Vector
 from server.errors import ServiceError
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
-from server.graph.services import Work, telling
+from server.graph.services import CompleteResponse, Work, telling
 from server.graph.topics import Graph
 from server.lifecycle import Feature
 from server.moveit.messages import Message
@@ -246,10 +246,12 @@ class Teaching(Feature):
     async def _list(self, _request: Message) -> dict[str, Any]:
         return {"names": await self._motions.names()}
 
-    async def _get(self, request: Message) -> dict[str, Any]:
+    async def _get(self, request: Message) -> CompleteResponse:
         motion = await self._motions.load(request["name"])
         message = f"{motion.duration_s:.2f} s, {len(motion.time_s)} points"
-        return {"success": True, "message": message, "trajectory": to_message(motion)}
+        # As many points as a client may send take longer to complete than everybody may be kept waiting.
+        trajectory = await asyncio.to_thread(to_message, motion)
+        return CompleteResponse({"success": True, "message": message, "trajectory": trajectory})
 
     async def _check(self, request: Message) -> dict[str, Any]:
         speed = read_speed(request["speed"])

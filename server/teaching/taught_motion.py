@@ -266,10 +266,12 @@ def from_message(message: Message, robot: RobotModel) -> TaughtMotion:
 
 def to_message(motion: TaughtMotion) -> dict[str, Any]:
     """Write a trajectory_msgs/JointTrajectory of positions alone."""
+    none: dict[str, list[float]] = {"velocities": [], "accelerations": [], "effort": []}
     return {
+        "header": {"stamp": Stamp(0, 0).as_message(), "frame_id": ""},
         "joint_names": list(motion.joint_names),
         "points": [
-            {"positions": positions, "time_from_start": Stamp.from_seconds(time_s).as_message()}
+            {"positions": positions, **none, "time_from_start": Stamp.from_seconds(time_s).as_message()}
             for time_s, positions in zip(motion.time_s.tolist(), motion.positions_rad.tolist(), strict=True)
         ],
     }

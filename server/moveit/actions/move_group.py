@@ -20,14 +20,22 @@ from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.node import Node
 from server.graph.permissions import GOAL, PLANNING_GOAL
+from server.graph.services import CompleteResponse
 from server.graph.topics import Graph
-from server.moveit.actions.goal_bridge import answer_of_task, cancel_with_goal, finish_goal, reject_goal, submit_goal
+from server.moveit.actions.goal_bridge import (
+    answer_of_task,
+    cancel_with_goal,
+    finish_goal,
+    goal_status,
+    reject_goal,
+    submit_goal,
+)
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, check_duration
 from server.moveit.goals.goal_messages import with_suggestion
 from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, RequestStep, sequence_requests
-from server.moveit.trajectories import external_motion, external_trajectory, to_message
+from server.moveit.trajectories import external_motion, external_trajectory, is_long, to_message
 
 log = logging.getLogger("armbridge.actions")
 
@@ -141,7 +149,17 @@ def _execute(goal: ActionGoal, queue: GoalQueue, motion: Motion, result: Callabl
 
 def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message]) -> None:
     goal.feedback({"state": IDLE})
-    finish_goal(goal, answer, result)
+    performed = answer.performed or Performed({})
+    if not is_long([*performed.planned, *filter(None, (performed.executed,))]):
+        finish_goal(goal, answer, result)
+        return
+
+    async def write() -> None:
+        goal.finish(goal_status(answer.code), CompleteResponse(await asyncio.to_thread(result, answer)))
+
+    writing = asyncio.create_task(write(), name=f"result of {goal.action}")
+    # The goal keeps the task alive, which the event loop does not.
+    goal.when_ended(lambda _result: writing.done())
 
 
 def _answer_with_plan(

@@ -17,11 +17,12 @@ from server.execution.motions import Motion, Performed, PlannedMotion
 from server.execution.queue import GoalListener
 from server.graph.node import Node
 from server.graph.permissions import LOOKING
+from server.graph.services import Answered, CompleteResponse
 from server.graph.topics import Graph
 from server.moveit.goals.goal_topics import final_status
 from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.trajectories import to_message
+from server.moveit.trajectories import to_messages
 
 MAX_GOALS = 100
 
@@ -104,22 +105,27 @@ class GoalHistory(GoalListener):
         records = self._records.values()
         return {"stamps": [each.stamp_s for each in records], "goals": [each.status for each in records]}
 
-    async def _record(self, request: dict[str, Any]) -> dict[str, Any]:
+    async def _record(self, request: dict[str, Any]) -> Answered:
         goal_id = request["goal_id"]
         record = self._records.get(goal_id)
         if record is None:
             text = f"goal_id: {goal_id[:40]!r} is not among the last {MAX_GOALS} goals that were answered"
             return {"success": False, "message": text}
         text = json.dumps(record.asked, default=str)[:MAX_ASKED_CHARACTERS]
-        return {
-            "success": True,
-            "asked": text,
-            "planned": [to_message(motion, self._robot.root_link) for motion in record.planned],
-            "duration_s": sum(motion.duration_s for motion in record.planned),
-            "summary": record.summary,
-            "planning_time_s": record.planning_time_s,
-            **await self._file(goal_id, record),
-        }
+        return CompleteResponse(
+            {
+                "success": True,
+                "message": "",
+                "asked": text,
+                "planned": await to_messages(record.planned, self._robot.root_link),
+                "duration_s": sum(motion.duration_s for motion in record.planned),
+                "summary": record.summary,
+                "planning_time_s": record.planning_time_s,
+                "problem_name": "",
+                "problem": "",
+                **await self._file(goal_id, record),
+            }
+        )
 
     async def _file(self, goal_id: str, record: GoalRecord) -> dict[str, str]:
         if record.problem is None:

@@ -24,7 +24,7 @@ from server.execution.motions import deviation_note
 from server.graph.node import Node
 from server.moveit.messages import Message, pose_of, success
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.trajectories import to_message
+from server.moveit.trajectories import to_messages
 
 # Steps up to this exceed no factor: a flip of an elbow or a wrist is larger, and at the start of a path five joints
 # that turn towards the requested orientation move far more than the mean.
@@ -56,7 +56,8 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
     if thresholds.any:
         plan = await _without_jumps(plan, built.problem, thresholds, start.scene, context)
     root = context.robot.root_link
-    start_state, solution = state_message(dict(start.start_rad), root, 0.0), to_message(plan.trajectory, root)
+    start_state = state_message(dict(start.start_rad), root, 0.0)
+    [solution] = await to_messages([plan.trajectory], root)
     context.display.trajectories([solution], start_state)
     if plan.stopped_by is not None:
         context.display.contacts_of(plan.stopped_by.details)

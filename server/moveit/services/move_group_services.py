@@ -41,7 +41,7 @@ from server.moveit.requests.planning_problems import (
 )
 from server.moveit.scene.frames import seen_from
 from server.moveit.services.cartesian_path import compute_cartesian_path
-from server.moveit.trajectories import to_message
+from server.moveit.trajectories import to_messages
 
 log = logging.getLogger("armbridge.moveit")
 
@@ -179,7 +179,8 @@ async def plan_kinematic_path(context: PlanningContext, request: Message, caller
     if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
         raise RefusedError(await explained(plan.stopped_by, built.problem, start.scene, context))
     root = context.robot.root_link
-    start_state, trajectory = state_message(dict(start.start_rad), root, 0.0), to_message(plan.trajectory, root)
+    start_state = state_message(dict(start.start_rad), root, 0.0)
+    [trajectory] = await to_messages([plan.trajectory], root)
     context.display.trajectories([trajectory], start_state)
     response = {
         "trajectory_start": start_state,
@@ -212,11 +213,8 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     root, performed, failure = context.robot.root_link, planned.performed, planned.failure
     if failure is not None:
         failure = await explained(failure, planned.problem, start.scene, context)
-    start_state, trajectories = state_message(dict(start.start_rad), root, 0.0), []
-    for motion in performed.planned:
-        # A long sequence has thousands of points; others have their turn in between.
-        await asyncio.sleep(0)
-        trajectories.append(to_message(motion, root))
+    start_state = state_message(dict(start.start_rad), root, 0.0)
+    trajectories = await to_messages(performed.planned, root)
     context.display.trajectories(trajectories, start_state)
     return {
         "response": {

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import until
 from planners.problem import MoveItErrorCode
 from server.execution.goal import Answer, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.motions import Performed, PlannedMotion
@@ -13,6 +14,7 @@ from server.graph.actions import GoalStatus
 from server.moveit.actions import move_group
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.requests.planning_problems import PILZ
+from server.moveit.trajectories import POINTS_AT_ONCE
 from tests.helpers.fake_arm import HOME, settle
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import (
@@ -94,6 +96,33 @@ def test_a_result_has_start_planned_and_executed_motion_and_time() -> None:
     assert len(result["planned_trajectory"]["joint_trajectory"]["points"]) == len(first.time_s)
     assert len(result["executed_trajectory"]["joint_trajectory"]["points"]) == len(second.time_s)
     assert result["planning_time"] == 0.25
+
+
+@pytest.mark.parametrize("name", [move_group.MOVE_ACTIONS[0], move_group.SEQUENCE_ACTION])
+async def test_a_long_motion_is_written_while_others_have_their_turn(desk: ActionDesk, name: str) -> None:
+    shown = desk.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
+    motion = smooth_move({"shoulder_pan": (0.0, 1.0)}, 0.01 * POINTS_AT_ONCE)
+    performed = Performed({"shoulder_pan": 0.0}, (motion,), motion, 0.25)
+    request = {"items": [{"req": to(0.3)}]} if name == move_group.SEQUENCE_ACTION else to(0.3)
+    goal = await desk.send(name, request=request)
+    desk.context.display.performed(performed)
+    desk.finish(Answer(MoveItErrorCode.SUCCESS, "there", performed=performed))
+    await asyncio.sleep(0)
+    assert (shown, desk.results) == ([], [])
+    await until(lambda: shown and desk.results)
+    written = (("moveit_msgs/DisplayTrajectory", shown[0]), (f"{goal.type_name}_Result", desk.results[0].values))
+    for type_name, fields in written:
+        assert fields == message(type_name, **fields), type_name
+
+
+async def test_of_long_motions_the_last_is_shown(desk: ActionDesk) -> None:
+    shown = desk.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
+    for joint_name in ("shoulder_pan", "elbow_flex"):
+        motion = smooth_move({joint_name: (0.0, 1.0)}, 0.01 * POINTS_AT_ONCE)
+        desk.context.display.performed(Performed({joint_name: 0.0}, (motion,)))
+    await until(lambda: shown)
+    await settle()
+    assert [each["trajectory_start"]["joint_state"]["name"] for each in shown] == [["elbow_flex"]]
 
 
 async def test_a_bad_goal_is_answered_while_another_moves(desk: ActionDesk) -> None:

@@ -133,6 +133,8 @@ class MemoryKeeper:
         self._next_collection_s = 0.0
 
     async def run(self) -> None:
+        # The collector's start has collected all.
+        self._next_collection_s = time.monotonic() + FULL_COLLECTION_PERIOD_S
         while True:
             await asyncio.sleep(CHECK_PERIOD_S)
             await self.check(time.monotonic())

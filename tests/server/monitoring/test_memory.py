@@ -1,3 +1,4 @@
+import asyncio
 import gc
 import threading
 from collections.abc import Iterator
@@ -175,6 +176,15 @@ async def test_after_a_gain_the_next_trim_comes_soon_again(rig: KeeperRig) -> No
 async def test_all_is_collected_no_more_often_than_its_period(rig: KeeperRig) -> None:
     await rig.check(int(3 * FULL_COLLECTION_PERIOD_S) - 10)
     assert rig.collector.made == 3
+
+
+@pytest.mark.stepped_time
+async def test_all_is_not_collected_again_right_after_the_start(rig: KeeperRig) -> None:
+    rig.collector.made = 0
+    running = asyncio.create_task(rig.keeper.run())
+    await asyncio.sleep(10.0)
+    running.cancel()
+    assert rig.collector.made == 0
 
 
 def test_free_memory_between_used_memory_is_given_back() -> None:

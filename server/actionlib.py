@@ -19,6 +19,8 @@ from server.graph.node import Node
 from server.graph.topics import Graph, Subscriber
 from server.timers import CallLater
 
+log = logging.getLogger("armbridge.actionlib")
+
 GoalId: TypeAlias = Mapping[str, Any]
 
 # actionlib's status_list_timeout: time for which the status of an ended goal is still published [s].
@@ -62,8 +64,6 @@ class Tracked:
 def _stamp(goal_id: GoalId) -> Stamp:
     return Stamp(goal_id["stamp"]["sec"], goal_id["stamp"]["nanosec"])
 
-
-log = logging.getLogger("armbridge.actionlib")
 
 # actionlib's default status_frequency; clients take a server for gone when statuses stay away for seconds.
 STATUS_PERIOD_S = 0.2

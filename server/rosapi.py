@@ -15,9 +15,9 @@ from protocol.operations import qualify
 from protocol.registry import Kind
 from protocol.type_descriptions import full_text, typedefs
 from server.errors import ServiceError
+from server.graph.index import TypedNames
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, NameFilter
-from server.graph.providers import TypedNames
 from server.graph.services import Call, CompleteResponse, failure_told
 from server.graph.topics import Graph
 

@@ -20,6 +20,8 @@ import numpy as np
 
 from robot.hardware.config import ClockReading
 
+log = logging.getLogger("armbridge.arm")
+
 PERIOD_S = 0.01
 
 TICKS_KEPT = round(1.0 / PERIOD_S)  # ticks over which lateness and the real-time factor are kept: the last second
@@ -147,8 +149,6 @@ class SimulationClock(LoopClock):
         elapsed_s = sum(elapsed for _, elapsed in self._passed_s)
         return sum(passed for passed, _ in self._passed_s) / elapsed_s if elapsed_s > 0.0 else 1.0
 
-
-log = logging.getLogger("armbridge.arm")
 
 REAL_TIME_PRIORITY = 1  # lowest priority of its class: above every ordinary process, below the kernel's own threads
 NICENESS = -10  # tried where real-time priority is not permitted

@@ -23,6 +23,8 @@ from server.arrival import arrival_epoch
 from server.errors import RefusedError
 from server.execution.goal import Goal, GoTo
 
+log = logging.getLogger("armbridge.commissioning")
+
 # Share of the velocity and acceleration limits: a hand can be pulled away.
 SLOWLY = 0.1
 
@@ -192,8 +194,6 @@ class VerificationProcedure:
 async def _choice(dialogue: Dialogue, step: Step) -> str:
     return await dialogue.ask(step, lambda answer: answer, lambda: step)
 
-
-log = logging.getLogger("armbridge.commissioning")
 
 ADVICE = (
     "this calibration is not verified yet: no joint moves faster than {share:.0%} of its velocity limit until "

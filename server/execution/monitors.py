@@ -14,6 +14,8 @@ from robot.description.model import RobotModel
 from robot.messages import Mode
 from server.errors import RefusedError, refused
 
+log = logging.getLogger("armbridge.execution")
+
 # Services that refusals name as the remedy.
 ENABLE, RESET_FAULT = "/arm/enable", "/arm/reset_fault"
 
@@ -103,9 +105,6 @@ def check_ready(arm: AnyArm) -> None:
 def title_of(name: str) -> str:
     """Return the words for an arm in a sentence, from its name, which is empty for a lone arm."""
     return f"the arm {name}" if name else "the arm"
-
-
-log = logging.getLogger("armbridge.execution")
 
 
 class CurrentScene:

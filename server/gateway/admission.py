@@ -38,6 +38,8 @@ from server.gateway.http import HttpResponse
 from server.gateway.settings import ServerSettings
 from server.graph.permissions import ANYONE, Identity, Role
 
+log = logging.getLogger("armbridge.gateway")
+
 # ioctl(2) of netdevice(7): the IPv4 address of an interface.
 _SIOCGIFADDR = 0x8915
 
@@ -75,8 +77,6 @@ def _read_table() -> str:
         # A kernel without IPv6.
         return ""
 
-
-log = logging.getLogger("armbridge.gateway")
 
 # Connections at once from an address: as many as the rate allows in this time [s].
 BURST_TIME_S = 10

@@ -38,6 +38,8 @@ from server.gateway.inbox import Inbox, Waiting
 from server.graph.message_types import PostponedError, ReceivedMessage
 from server.graph.permissions import Identity, display_name
 
+log = logging.getLogger("armbridge.gateway")
+
 # An auth with all its fields at their greatest; a client that has not authenticated may cost no more.
 MAX_FIRST_BYTES = 4096
 
@@ -109,9 +111,6 @@ class ClientAuth:
         self._authorizer.leave()
         log.warning("%s: %s; closing", self._context.node, reason)
         self._context.connection.disconnect(reason)
-
-
-log = logging.getLogger("armbridge.gateway")
 
 
 class Client:

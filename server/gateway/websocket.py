@@ -33,6 +33,8 @@ from server.gateway.settings import ServerSettings
 from server.gateway.transport import INTERNAL_ERROR, OUT_OF_MEMORY, Transport
 from server.graph.permissions import Identity
 
+_log = logging.getLogger("armbridge.gateway.websockets")
+
 # Names and values as websockets allows them (RFC 9110, 5.1 and 5.5), and as many headers. No part can give back what it
 # has matched to the next one, so matching takes one pass. HTTP/1.0 is the protocol of old controllers.
 MAX_HEADERS = 128
@@ -128,7 +130,6 @@ OVERSIZE = 2
 SHORT_FRAME_BYTES = 65_536
 
 # Without the debug lines of websockets: they contain every address and every message, and so every token.
-_log = logging.getLogger("armbridge.gateway.websockets")
 _log.setLevel(logging.WARNING)
 
 # For a client that waits with its body for it (RFC 9110, 10.1.1).

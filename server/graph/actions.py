@@ -30,6 +30,8 @@ from server.timers import CallLater
 if TYPE_CHECKING:
     from server.graph.topics import Graph
 
+log = logging.getLogger("armbridge.graph")
+
 STATUS, FEEDBACK = "/_action/status", "/_action/feedback"
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 
@@ -140,8 +142,6 @@ class ActionGoal(PendingRequest[Result]):
         for callback in self._when_canceled:
             callback()
 
-
-log = logging.getLogger("armbridge.graph")
 
 # A goal may take long; one whose provider has forgotten it must end nevertheless.
 MAX_GOAL_S = 3600.0

@@ -1,18 +1,17 @@
-"""Providers of services and actions: one table by name, and the base of requests on their way; indexes of the graph.
+"""Providers of services and actions: one table by name, and the base of requests on their way.
 
-The indexes let a look-up cost what it returns, however many topics, offers and requests of others there are. A request
-is ended once, by its provider, its deadline or its caller's departure; whatever comes later goes nowhere.
+A request is ended once, by its provider, its deadline or its caller's departure; whatever comes later goes nowhere.
 """
 
 import logging
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
-from protocol.dialect import Dialect, spell_type
 from protocol.errors import InterfaceError
 from protocol.registry import Kind
 from server.errors import GraphError
+from server.graph.index import Index, TypedNames
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
@@ -21,79 +20,7 @@ from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
 
-Key = TypeVar("Key")
-Item = TypeVar("Item")
 End = TypeVar("End")
-
-
-class Index(Generic[Key, Item]):
-    """Items by key, in the order in which they came; a key without items takes no place."""
-
-    def __init__(self) -> None:
-        # Dicts in place of sets, for their order.
-        self._items: dict[Key, dict[Item, None]] = {}
-
-    def __iter__(self) -> Iterator[Key]:
-        return iter(self._items)
-
-    def add(self, key: Key, item: Item) -> None:
-        """Enter an item under a key; nothing happens when it is there."""
-        self._items.setdefault(key, {})[item] = None
-
-    def discard(self, key: Key, item: Item) -> None:
-        """Take an item away from a key; nothing happens when it is not there."""
-        items = self._items.get(key)
-        if items is not None:
-            items.pop(item, None)
-            if not items:
-                del self._items[key]
-
-    def of(self, key: Key) -> list[Item]:
-        """Return the items of a key; the index may change meanwhile."""
-        return list(self._items.get(key, ()))
-
-    def count(self, key: Key) -> int:
-        return len(self._items.get(key, ()))
-
-
-class TypedNames:
-    """Names in use of one kind, such as topics, each with its type; ``revision`` counts the changes."""
-
-    def __init__(self) -> None:
-        self.revision = 0
-        # By dialect, name and spelling of the type in that dialect.
-        self._types: dict[Dialect, dict[str, str]] = {"ros2": {}, "ros1": {}}
-        # Every spelling of a type can be converted to ROS 1's.
-        self._by_type: Index[str, str] = Index()
-
-    def __len__(self) -> int:
-        return len(self._types["ros2"])
-
-    def add(self, name: str, type_name: str) -> None:
-        """Enter a fully qualified name that is not there, with the canonical name of its type."""
-        spelled = spell_type(type_name, "ros1")
-        self._types["ros2"][name] = type_name
-        self._types["ros1"][name] = spelled
-        self._by_type.add(spelled, name)
-        self.revision += 1
-
-    def remove(self, name: str) -> None:
-        """Take a name away that is there."""
-        del self._types["ros2"][name]
-        self._by_type.discard(self._types["ros1"].pop(name), name)
-        self.revision += 1
-
-    def type_of(self, name: str, dialect: Dialect = "ros2") -> str | None:
-        """Return the type of a fully qualified name, spelled in a dialect; None for a name that is not in use."""
-        return self._types[dialect].get(name)
-
-    def types(self, dialect: Dialect = "ros2") -> dict[str, str]:
-        """Return the type of every name, spelled in a dialect."""
-        return self._types[dialect].copy()
-
-    def of_type(self, type_name: str) -> list[str]:
-        """Return the names that have a type, in order of entry; none for an unknown type."""
-        return self._by_type.of(spell_type(type_name, "ros1"))
 
 
 class PendingRequest(Generic[End]):

@@ -23,12 +23,12 @@ from protocol.strict_messages import PublicationReader
 from robot.logs import LogLimiter
 from server.errors import GraphError
 from server.graph.actions import Actions
+from server.graph.index import Index, TypedNames
 from server.graph.latching import LatchedMessages
 from server.graph.list_limits import CheckLists
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.node import Node
 from server.graph.permissions import Rule
-from server.graph.providers import Index, TypedNames
 from server.graph.services import Services
 from server.timers import CallLater, call_later
 

@@ -26,6 +26,8 @@ from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING
 from server.graph.topics import Graph
 
+log = logging.getLogger("armbridge.monitoring")
+
 TOPIC = "/diagnostics"
 
 # diagnostic_msgs/DiagnosticStatus: no recent values.
@@ -214,8 +216,6 @@ def _alerts(joint: JointHealth, health: ArmHealth) -> Iterator[ServoAlert]:
     if health.bus is not None and joint.silent_cycles > max(MANY_LOST, LOST_SHARE * health.bus.sent):
         yield ServoAlert.SILENT_CYCLES
 
-
-log = logging.getLogger("armbridge.monitoring")
 
 ROSOUT_TOPIC = "/rosout"
 

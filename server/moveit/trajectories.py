@@ -58,7 +58,7 @@ def is_long(trajectories: Sequence[Trajectory]) -> bool:
 
 
 async def to_messages(trajectories: Sequence[Trajectory], frame: str) -> list[Message]:
-    """Write moveit_msgs/RobotTrajectory messages; a thread writes those of long motions."""
+    """Write moveit_msgs/RobotTrajectory messages; a thread writes long motions."""
 
     def write() -> list[Message]:
         return [to_message(each, frame) for each in trajectories]

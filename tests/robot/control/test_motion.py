@@ -186,9 +186,18 @@ def asked(motions: list[Motion | Streaming], trajectory: Trajectory, number: int
     return splice_refusal(motions, command, NAMES, BOUNDS, np.array([0.5, -0.25, 0.0]))
 
 
+def slower_from(at_s: float) -> Trajectory:
+    """The motion since 0.9 s, but a fifth slower when it comes to a time of it, and soon at rest."""
+    ends = [PATH.sample(0.9), PATH.sample(at_s)]
+    positions = np.array([*(end[0] for end in ends), ends[1][0] + 0.5 * ends[1][1]])
+    velocities = np.array([ends[0][1], 0.8 * ends[1][1], np.zeros(2)])
+    return Trajectory(PATH.joint_names, np.array([0.0, at_s - 0.9, at_s + 0.1]), positions, velocities, 0.0 * positions)
+
+
 REFUSED = {
     "no such motion": (since(0.9), 6, 0.9, "not in progress"),
     "it is past that place": (since(1.2), 7, 1.2, "no longer where"),
+    "at another speed": (slower_from(1.0), 7, 0.9, "no longer where"),
     "another path": (since(0.9, elbow_flex=(0.0, 0.5)), 7, 0.9, "the motion starts with joint elbow_flex"),
     "other joints": (smooth_move({"gripper": (0.0, 1.0)}, 2.0), 7, 0.0, "other joints"),
     "beyond a limit": (smooth_move({"shoulder_pan": (0.0, 9.0), "elbow_flex": (0.0, -0.5)}, 9.0), 7, 0.0, "limits"),

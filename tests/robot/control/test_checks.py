@@ -111,6 +111,7 @@ UPPER = float(BOUNDS.upper_rad[0])
 # Only a position is beyond its limit, by 0.1 mrad, or a velocity, and only between two samples.
 @example([0.8, -0.8], [0.16, 0.0, -0.16], 0.4, UPPER - 0.2379)
 @example([0.1, -0.6], [0.03, 0.3, -0.18], 0.6, UPPER - 0.3503)
+@example([0.02, -0.1], [0.03, 0.25, -0.15], 3.0, UPPER - 0.2967)
 @example([1.9, 1.9], [0.2375, 0.53, 0.2375], 0.25, 0.0)
 def test_a_curve_is_refused_where_it_leaves_the_limits(
     speeds: list[float], ways: list[float], span_s: float, held_rad: float

@@ -1,11 +1,10 @@
 """Errors of the server; the text of each is one sentence for the user."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from robot.errors import RobotError
 
 Found = TypeVar("Found")
 
@@ -79,15 +78,3 @@ class StartError(ServerError):
 def sentence_of(flaw: Mapping[str, Any]) -> str:
     """Return the sentence of one of ``ValidationError.errors()``; a validator's own sentence as it stands."""
     return str(flaw["msg"]).removeprefix("Value error, ")
-
-
-def answering(work: Callable[[dict[str, Any]], str]) -> Callable[[dict[str, Any]], dict[str, Any]]:
-    """Return a service that answers by ``success`` and ``message``: the sentence that work returns, or a refusal's."""
-
-    def serve(request: dict[str, Any]) -> dict[str, Any]:
-        try:
-            return {"success": True, "message": work(request)}
-        except (ServerError, RobotError) as error:
-            return {"success": False, "message": str(error)}
-
-    return serve

@@ -16,10 +16,11 @@ from typing import Any, Protocol, TypeVar
 from robot.commissioning.session import Step, SweptRange
 from robot.errors import RobotError
 from robot.messages import ArmHealth, ArmState
-from server.errors import ServiceError, answering
+from server.errors import ServiceError
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import COMMISSIONING, CONFIGURING
+from server.graph.services import answering
 from server.lifecycle import end_task
 
 log = logging.getLogger("armbridge.commissioning")

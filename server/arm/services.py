@@ -10,11 +10,12 @@ from protocol.publication import PublishedMessage
 from robot.arm_group import AnyArm, moves, states_of
 from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Mode, Order, PlaybackDirection
 from server.arrival import arrival_epoch
-from server.errors import ServiceError, answering
+from server.errors import ServiceError
 from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING, WORKING, Rule
+from server.graph.services import answering
 from server.graph.topics import Subscriber
 
 log = logging.getLogger("armbridge.arm")

@@ -23,9 +23,10 @@ from server.datasets.episodes import (
     parse_mark,
 )
 from server.diagnostic_values import LEVEL_OK, LEVEL_WARN, key_values
-from server.errors import ServiceError, answering
+from server.errors import ServiceError
 from server.graph.node import Node
 from server.graph.permissions import WORKING
+from server.graph.services import answering
 from server.graph.topics import Graph, Subscriber
 
 log = logging.getLogger("armbridge.datasets")

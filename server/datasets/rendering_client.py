@@ -52,6 +52,12 @@ class RenderingClient(PublishingClient):
 
     async def publish(self, connection: ClientConnection) -> None:
         """Publish an image of each state that is the newest when the last image has been taken."""
+        try:
+            await self._publish(connection)
+        except (KeyError, TypeError) as error:
+            raise ConnectionError(f"the server's answer cannot be read: {error!r}") from error
+
+    async def _publish(self, connection: ClientConnection) -> None:
         loop, period_s = asyncio.get_running_loop(), 1.0 / self._camera.camera.rate_hz
         due_s, state = loop.time(), None
         while True:

@@ -25,11 +25,12 @@ from server.datasets.rendered import (
     color_of,
     read_camera,
 )
-from server.errors import GraphError, answering
+from server.errors import GraphError
 from server.features.context import ServerContext
 from server.features.physics import Physics
 from server.graph.node import Node
 from server.graph.permissions import WORKING
+from server.graph.services import answering
 from server.lifecycle import Feature, end_task
 from server.moveit.messages import Message, pose_of, write_transform
 from server.moveit.scene.collision_objects import CollisionObject

@@ -18,10 +18,11 @@ from robot.errors import RobotError
 from robot.messages import ArmState, Mode, PauseSimulation
 from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, Body, BodyState, SetBodies
 from server.config import NamedArmSettings
-from server.errors import ConfigurationError, RefusedError, ServerError, ServiceError, answering
+from server.errors import ConfigurationError, RefusedError, ServerError, ServiceError
 from server.features.context import ArmContext, ServerContext
 from server.graph.node import Node
 from server.graph.permissions import WORKING
+from server.graph.services import answering
 from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.moveit.scene.collision_objects import IDENTITY, CollisionObject, read_bounded_pose

@@ -13,7 +13,8 @@ from typing import Any, TypeAlias
 
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
-from server.errors import RefusedError, ServiceError, UnsuccessfulError
+from robot.errors import RobotError
+from server.errors import RefusedError, ServerError, ServiceError, UnsuccessfulError
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.node import Node
@@ -117,6 +118,18 @@ def failure_told(call: Call) -> Iterator[None]:
     except Exception:  # a bug in a service must not leave its caller waiting
         log.exception("service %s failed", call.service)
         call.fail(f"Service {call.service} failed inside the server")
+
+
+def answering(work: Callable[[dict[str, Any]], str]) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """Return a service that answers by ``success`` and ``message``: the sentence that work returns, or a refusal's."""
+
+    def serve(request: dict[str, Any]) -> dict[str, Any]:
+        try:
+            return {"success": True, "message": work(request)}
+        except (ServerError, RobotError) as error:
+            return {"success": False, "message": str(error)}
+
+    return serve
 
 
 Work: TypeAlias = Callable[[Mapping[str, Any]], Awaitable[Answered]]

@@ -158,8 +158,8 @@ def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message
         goal.finish(goal_status(answer.code), CompleteResponse(await asyncio.to_thread(result, answer)))
 
     writing = asyncio.create_task(write(), name=f"result of {goal.action}")
-    # The goal keeps the task alive, which the event loop does not.
-    goal.when_ended(lambda _result: writing.done())
+    # Keeps the task alive, which the event loop does not, and ends it when nobody waits any more.
+    goal.when_ended(lambda _result: writing.cancel())
 
 
 def _answer_with_plan(

@@ -502,6 +502,10 @@ class GoalExecutors:
         stopped = self._arm if joints is None else self._arm.part(frozenset(joints))
         stopped.stop()
 
+    def brake(self) -> None:
+        """Bring all arms to rest, also motions of no goal."""
+        self._arm.brake()
+
     def take_state(self, state: ArmState) -> None:
         for executor in self._executors.values():
             executor.recorder.take_state(state)

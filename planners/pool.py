@@ -43,7 +43,7 @@ from planners.problem import (
 from planners.race import Race
 from planners.scene import Scene
 from robot.description.model import RobotModel
-from robot.processes import Child, DescriptorReserve, StartedCopy, Template
+from robot.processes import ENDING_TIMEOUT_S, Child, DescriptorReserve, StartedCopy, Template
 
 log = logging.getLogger("armbridge.planners")
 
@@ -55,8 +55,6 @@ NICENESS = 5
 # Cancelling takes about a millisecond; past this, native code hangs. Among 12 other programs a worker waited for a core
 # for 50 ms at most.
 CANCEL_TIMEOUT_S = 1.0
-
-ENDING_TIMEOUT_S = 0.1  # a process whose socket is closed is about to end; its exit code comes a moment later
 
 # Checks take milliseconds and have no allowed time of their own. An arm that moves waits for CHECK_TIME_S at most. A
 # question about a state may wait: the first one among 600 boxes took 2 s beside a dozen busy processes.
@@ -73,6 +71,9 @@ OVERTIME_S = 1.0
 
 # A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
 MEMORY_LIMIT_BYTES = 1_024_000_000
+
+# Loading takes 1.5 s of CPU time; where it is given up it begins anew, so a starved machine is given longer [s].
+TEMPLATE_TIMEOUT_S = 4.0 * LOAD_TIMEOUT_S
 
 # Failed starts in a row after which there is a pause before each further one.
 MAX_FAILED_STARTS = 3
@@ -244,7 +245,7 @@ class PlannerPool(Planners):
         self._robot_refused = False
         self._tasks: set[asyncio.Task[None]] = set()
         self._reserve = DescriptorReserve()
-        self._template = Template(WORKER_MODULE, self._load, self._reserve, LOAD_TIMEOUT_S)
+        self._template = Template(WORKER_MODULE, self._load, self._reserve, TEMPLATE_TIMEOUT_S)
 
     async def start(self) -> None:
         """Start the process that the workers are copies of, which loads in the background."""

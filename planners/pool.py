@@ -72,8 +72,7 @@ OVERTIME_S = 1.0
 # A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
 MEMORY_LIMIT_BYTES = 1_024_000_000
 
-# Loading takes 1.5 s of CPU time; where it is given up it begins anew, so a starved machine is given longer [s].
-TEMPLATE_TIMEOUT_S = 4.0 * LOAD_TIMEOUT_S
+TEMPLATE_TIMEOUT_S = 4.0 * LOAD_TIMEOUT_S  # loading that is given up begins anew, which no starved machine needs
 
 # Failed starts in a row after which there is a pause before each further one.
 MAX_FAILED_STARTS = 3

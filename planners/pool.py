@@ -72,7 +72,7 @@ OVERTIME_S = 1.0
 # A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
 MEMORY_LIMIT_BYTES = 1_024_000_000
 
-TEMPLATE_TIMEOUT_S = 4.0 * LOAD_TIMEOUT_S  # loading that is given up begins anew, which no starved machine needs
+TEMPLATE_TIMEOUT_S = 4.0 * LOAD_TIMEOUT_S  # a machine is starved; a killed load would begin again
 
 # Failed starts in a row after which there is a pause before each further one.
 MAX_FAILED_STARTS = 3

@@ -48,7 +48,7 @@ def serve_copies(channel: Channel) -> None:
 
     In a copy the channel is the copy's.
     """
-    # The garbage collector would write to what is loaded, and so end its sharing.
+    # The garbage collector would write to the loaded memory, and so end its sharing.
     gc.collect()
     gc.freeze()
     channel.send(Ready())

@@ -282,6 +282,10 @@ class Arm(ArmClock):
         elif (number := self._number(motion)) != NO_MOTION:
             self._process.send(Stop(number))
 
+    def brake(self) -> None:
+        """Brake every motion in progress; this is no stop, which ends requests too."""
+        self._process.send(Stop())
+
     def change_pace(self, change: ChangePace) -> None:
         if change.speed_factor is not None:
             self._speed_factor = change.speed_factor
@@ -332,8 +336,8 @@ class Arm(ArmClock):
         """Give the process the way to the rest pose that it plays at its end; None when there is no way."""
         self._process.send(KeepParking(plan))
 
-    async def close(self) -> None:
-        """Bring the arm to its end state and end the process.
+    async def close(self, epoch: int | None = None) -> None:
+        """Bring the arm to its end state and end the process; after a stop that is later than the epoch, do not park.
 
         That takes :data:`CLOSE_TIMEOUT_S` at most on the arm's clock, and :data:`CLOSE_LIMIT_S` on the machine's. A
         caller that cancels this leaves a process that hurries, and ends by itself.
@@ -346,7 +350,7 @@ class Arm(ArmClock):
         try:
             ended = self._process.ended
             if ended is not None and self._process.configured:
-                self._process.send(Shutdown())
+                self._process.send(Shutdown(_epoch_of_request(epoch)))
                 await self._wait_for_end(ended)
                 if ended.done():
                     await self._process.leave()

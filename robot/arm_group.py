@@ -126,8 +126,8 @@ class ArmGroup(ArmClock):
     async def until_started(self, timeout_s: float) -> None:
         await self._each(lambda arm: arm.until_started(timeout_s))
 
-    async def close(self) -> None:
-        await self._each(lambda arm: arm.close())
+    async def close(self, epoch: int | None = None) -> None:
+        await self._each(lambda arm: arm.close(epoch))
 
     # Motions.
 
@@ -213,6 +213,10 @@ class ArmGroup(ArmClock):
         for name, one in together.items():
             if not one.done():
                 self._arms[name].stop(one)
+
+    def brake(self) -> None:
+        for arm in self._arms.values():
+            arm.brake()
 
     def change_pace(self, change: ChangePace) -> None:
         for arm in self._arms.values():

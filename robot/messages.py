@@ -246,6 +246,7 @@ class PauseSimulation:
 class Shutdown:
     """Command to brake, bring the arm to its end state and end the process."""
 
+    epoch: int = 0  # stop epoch in which the end was requested: after a later stop the arm is not parked
     hurry: bool = False  # True to relax an arm that was to be parked
 
 

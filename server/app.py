@@ -15,9 +15,11 @@ from robot.arm import CLOSE_LIMIT_S
 from robot.arm_group import moves
 from robot.messages import Mode
 from robot.processes import StartedChild
+from robot.stop_epochs import STOP_EPOCHS
 from server.arm.arms import Arms, ServedArm, read_arms
 from server.arm.calibrating import Recalibrated
 from server.arm.setup import Description, check_parameters
+from server.arrival import arrival_epoch, arrived_in
 from server.config import Settings, SimulationSettings
 from server.errors import StartError
 from server.execution.monitors import ARM_START_TIMEOUT_S
@@ -181,7 +183,7 @@ class App:
             self._clients,
             Part("planners", self._pool.start, self._pool.close, 0.4),
             # It has its own limits, by its own clock: a simulated arm is slow where the machine is busy.
-            Part("the arm", arm.launch, arm.close, ARM_STOP_S, beyond_total=True),
+            Part("the arm", arm.launch, lambda: arm.close(arrival_epoch()), ARM_STOP_S, beyond_total=True),
             parkings,
             goals,
             commissioning,
@@ -222,7 +224,8 @@ class App:
         finally:
             restarts = restart.requested.is_set() and not ending.is_set()
             self._monitoring.monitor.notify_stopping(restarts=restarts)
-            await stop_in_reverse(started, STOP_TOTAL_S, hurry)
+            with arrived_in(STOP_EPOCHS.present):
+                await stop_in_reverse(started, STOP_TOTAL_S, hurry)
             self._collector.stop()
         log.info("stopped")
         if ending.is_set() or restart.recalibrated is None:

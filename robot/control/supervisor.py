@@ -116,6 +116,7 @@ class Supervisor:
         self._server_lost = False
         self._reported_fault: Fault | None = None
         self._end: EndState | None = None
+        self._end_epoch = 0  # stop epoch in which it was requested
         self._end_begun_s: float | None = None
         self._end_ticks = 0
         self._ended = False
@@ -191,7 +192,7 @@ class Supervisor:
         elif isinstance(message, Heartbeat):
             self._observed = message.observed
         elif isinstance(message, Shutdown):
-            self._end = self._config.on_exit
+            self._end, self._end_epoch = self._config.on_exit, message.epoch
             if message.hurry and self._end is EndState.PARK and controller is not None:
                 self._parking.give_up(controller, "the server must not wait")
         elif isinstance(message, KeepParking):
@@ -329,7 +330,7 @@ class Supervisor:
         """Begin to bring the arm to its end state: the server's process is gone."""
         if self._end is None:
             log.warning("the server is gone: %s", self._consequence(self._config.on_server_lost))
-            self._end = self._config.on_server_lost
+            self._end, self._end_epoch = self._config.on_server_lost, self._last_stop
 
     def _move(self, command: Execute | Stream) -> None:
         refused, reason = Outcome.REFUSED, ""
@@ -452,6 +453,8 @@ class Supervisor:
         if end is None:
             return
         if end is EndState.PARK:
+            if self._end is not None and self._end_epoch < self._last_stop:
+                self._parking.give_up(controller, STOPPED_SINCE)
             gone = self._end is not None or now_s - self._heard_s > SILENCE_BEFORE_PARKING_S * self._rate
             self._parking.advance(controller, now_s, may_move=gone)
         else:

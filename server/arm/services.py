@@ -70,9 +70,7 @@ def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str]
     def on_emergency_stop(_message: object) -> None:
         emergency_stop(EMERGENCY_STOP_TOPIC).add_done_callback(_log_end)
 
-    # A message to this topic means that the arm must stop, valid or not.
-    stopper = Subscriber(on_emergency_stop, on_emergency_stop, rule=STOPPING)
-    graph.subscribe(node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", stopper)
+    graph.subscribe(node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", Subscriber(on_emergency_stop, rule=STOPPING))
 
 
 async def _standstill(arm: AnyArm) -> CommandDone:

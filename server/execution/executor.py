@@ -9,6 +9,7 @@ import functools
 import logging
 import statistics
 import time
+from array import array
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -96,33 +97,40 @@ class MotionRecorder:
     """Recorder of the arm's states while a motion runs, with times of the arm's clock."""
 
     def __init__(self) -> None:
-        self._states: list[ArmState] | None = None
+        self._joint_names: tuple[str, ...] = ()
+        # Of each state its time, positions and velocities, written down at once: at the end of a long motion that would
+        # hold the event loop up.
+        self._samples: array[float] | None = None
 
     def start(self) -> None:
-        self._states = []
+        self._samples = array("d")
 
     def take_state(self, state: ArmState) -> None:
-        if self._states is None or state.position_rad is None or state.velocity_rad_s is None:
+        if self._samples is None or state.position_rad is None or state.velocity_rad_s is None:
             return
-        if len(self._states) < MAX_SAMPLES and (not self._states or state.clock_s > self._states[-1].clock_s):
-            self._states.append(state)
+        width = 1 + 2 * len(state.joint_names)
+        if len(self._samples) < MAX_SAMPLES * width and (not self._samples or state.clock_s > self._samples[-width]):
+            self._joint_names = state.joint_names
+            self._samples.extend((state.clock_s, *state.position_rad.tolist(), *state.velocity_rad_s.tolist()))
 
     def discard(self) -> None:
         """End the recording without a trajectory."""
-        self._states = None
+        self._samples = None
 
     def finish(self, joint_names: tuple[str, ...]) -> Trajectory | None:
         """End the recording; return the trajectory of these joints, or None when no state came.
 
         The servos measure no accelerations: those are 0.
         """
-        states, self._states = self._states, None
-        if not states:
+        samples, self._samples = self._samples, None
+        if not samples:
             return None
-        columns = [states[0].joint_names.index(name) for name in joint_names]
-        time_s = np.array([state.clock_s for state in states]) - states[0].clock_s
-        positions_rad = np.array([state.position_rad for state in states])[:, columns]
-        velocities_rad_s = np.array([state.velocity_rad_s for state in states])[:, columns]
+        times, positions, velocities = np.split(
+            np.array(samples).reshape(-1, 1 + 2 * len(self._joint_names)), (1, 1 + len(self._joint_names)), axis=1
+        )
+        columns = [self._joint_names.index(name) for name in joint_names]
+        positions_rad, velocities_rad_s = positions[:, columns], velocities[:, columns]
+        time_s = times[:, 0] - times[0]
         return Trajectory(joint_names, time_s, positions_rad, velocities_rad_s, np.zeros_like(positions_rad))
 
 
@@ -501,6 +509,10 @@ class GoalExecutors:
         """Stop the arms that have some joints, even when no goal is known, so that nothing keeps them moving."""
         stopped = self._arm if joints is None else self._arm.part(frozenset(joints))
         stopped.stop()
+
+    def brake(self) -> None:
+        """Bring all arms to rest, also motions of no goal."""
+        self._arm.brake()
 
     def take_state(self, state: ArmState) -> None:
         for executor in self._executors.values():

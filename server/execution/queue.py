@@ -63,9 +63,11 @@ class GoalQueue:
         self._begin()
 
     async def close(self, timeout_s: float) -> None:
-        """Stop the active goals, answer every goal and end, at the latest after ``timeout_s``."""
-        self.stop("the server is shutting down")
+        """End the active goals, answer every goal and end, at the latest after ``timeout_s``."""
         self._started = False
+        self.cancel_all("the server is shutting down")
+        # No stop: an arm that a client stops from now on is not parked any more.
+        self._executors.brake()
         try:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._idle.wait(), timeout_s)

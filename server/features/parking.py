@@ -22,7 +22,7 @@ from robot.description.model import RobotModel
 from robot.messages import PARKING_TIMEOUT_S, ArmState, CommandDone, EndState, Mode, Order, ParkingPlan
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arm.services import trigger_response
-from server.arrival import is_stopped
+from server.arrival import arrival_epoch, is_stopped
 from server.config import ArmSettings
 from server.errors import ConfigurationError
 from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Progress
@@ -323,6 +323,7 @@ class LastClient:
         self._parking, self._arm, self._drivers, self._clock = parking, parking.arm, drivers, clock
         self._present = False
         self._left_s: float | None = None
+        self._left_epoch = 0  # stop epoch in which a driver was there last
 
     async def run(self) -> None:
         """Watch until cancelled."""
@@ -334,7 +335,7 @@ class LastClient:
     def due(self) -> bool:
         """Return True, once, when the time has come: nobody has come back, and no goal moves any more."""
         if self._drivers:
-            self._present = True
+            self._present, self._left_epoch = True, STOP_EPOCHS.present
             return False
         if self._present:
             self._present, self._left_s = False, self._clock()
@@ -349,8 +350,12 @@ class LastClient:
     async def _act(self) -> None:
         log.info("nobody who may drive is connected: the arm is to %s", self._policy)
         if self._policy == "park":
-            last_stop = self._arm.last_stop
-            parked = await self._parking.park(LAST_CLIENT)
+            if is_stopped(self._arm.last_stop, self._left_epoch):
+                log.warning("a stop came after the last client had left: the arm holds")
+                return
+            parking = self._parking.park(LAST_CLIENT)
+            last_stop = self._arm.last_stop  # by which parking has ended all else
+            parked = await parking
             if parked.done:
                 return
             if self._arm.last_stop != last_stop:
@@ -418,4 +423,4 @@ class Parkings(Feature, GoalListener):
                 await each.prepare_exit()
             if each.parks_on_exit and self._several:
                 # It goes to its rest pose, around which the next arm's way is planned.
-                await each.arm.close()
+                await each.arm.close(arrival_epoch())

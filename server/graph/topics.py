@@ -269,8 +269,9 @@ class Graph:
         sentence about a message that could not be latched. Raises GraphError for a topic without a type, too many
         topics of a client, or a refusal; MessageError for a message that does not fit, which local subscribers get too.
         """
-        topic = self._topic(name)
-        if node.remote and node not in topic.publishers:
+        topic, rule = self._topic(name), self.rules.get(name)
+        stops = rule is not None and rule.at_once and rule.at_once_data is None
+        if node.remote and node not in topic.publishers and not stops:
             count = self.publications.count(node)
             if count >= MAX_TOPICS_OF_PUBLISHER:
                 raise GraphError("topic", name, f"this client publishes on {count} topics already, which is the limit")
@@ -278,10 +279,13 @@ class Graph:
         try:
             completed: Any = message if prevalidated else self._completed(topic, message, received)
         except MessageError as error:
-            for subscriber in list(topic.subscribers.values()):
-                if subscriber.on_invalid is not None:
-                    subscriber.on_invalid(error)
-            raise
+            if not stops:
+                for subscriber in list(topic.subscribers.values()):
+                    if subscriber.on_invalid is not None:
+                        subscriber.on_invalid(error)
+                raise
+            # Somebody wants the arm to stop, whatever the message says.
+            completed = self._completed(topic, {}, received)
         self._add_publisher(topic, node)
         if latch:
             self._add_latching(topic, node)

@@ -113,6 +113,9 @@ class FakeArm:
         self.streams.append(stream)
         return stream
 
+    def brake(self) -> None:
+        """End nothing: a test does."""
+
     def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
         self.stops.append(motion)
         if motion is None:

@@ -51,6 +51,9 @@ class GoalRunner:
     def stop(self, joints: Iterable[str] | None = None) -> None:
         self.stopped.append(joints)
 
+    def brake(self) -> None:
+        self.stop()
+
     # Called by a test.
 
     def finish(self, answer: Answer = THERE) -> None:

@@ -253,7 +253,7 @@ class GoalTopics:
         # The driving client chooses the group.
         self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group, rule=SWITCHING))
         self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel, rule=CANCELLING))
-        stopper = Subscriber(self._stop, self._stop, rule=STOPPING)
+        stopper = Subscriber(self._stop, rule=STOPPING)
         self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", stopper)
         self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event, rule=STOP_EVENT))
 
@@ -301,7 +301,6 @@ class GoalTopics:
         self._queue.cancel(published.msg["data"], f"cancelled by {self._graph.resolve(CANCEL_TOPIC)}")
 
     def _stop(self, _message: object) -> None:
-        # Valid or not: somebody wants the arm to stop.
         self._queue.stop(f"stopped by {self._graph.resolve(STOP_TOPIC)}", self._joints)
 
     def _on_event(self, published: PublishedMessage) -> None:

@@ -132,6 +132,15 @@ def test_the_end_of_parking_relaxes(rig: ArmRig, caplog: pytest.LogCaptureFixtur
     assert words in caplog.text
 
 
+@pytest.mark.parametrize("messages", [(Stop(epoch=2), Shutdown(1)), (Shutdown(1), Stop(epoch=2))])
+def test_an_arm_that_is_stopped_after_its_end_was_requested_is_not_parked(
+    rig: ArmRig, messages: tuple[object, ...]
+) -> None:
+    for message in messages:
+        rig.supervisor.handle(message)
+    assert sinks(rig)
+
+
 def test_a_paused_motion_is_not_set_going_by_the_end(moving: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
     moving.supervisor.handle(ChangePace(direction=PlaybackDirection.PAUSED))
     moving.run(0.5)

@@ -1,5 +1,6 @@
 import asyncio
 import gc
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -639,7 +640,12 @@ def test_a_recording_is_a_trajectory_from_time_0() -> None:
 def test_a_recording_is_bounded() -> None:
     recorder = MotionRecorder()
     recorder.start()
-    for number in range(MAX_SAMPLES + 10):
+    recorder.take_state(state := replace(STATE, clock_s=0.0))
+    # It is written down when it comes: all at the end of a long motion would hold the event loop up.
+    kept = weakref.ref(state)
+    del state
+    assert kept() is None
+    for number in range(1, MAX_SAMPLES + 10):
         recorder.take_state(replace(STATE, clock_s=float(number)))
     way: Any = recorder.finish(("a",))
     assert way.duration_s == MAX_SAMPLES - 1

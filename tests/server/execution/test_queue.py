@@ -78,6 +78,9 @@ class Desk(GoalListener):
     def stop(self, joints: Iterable[str] | None = None) -> None:
         self.stopped.append(joints)
 
+    def brake(self) -> None:
+        self.stopped.append(None)
+
     async def submit(self, *motions: object, **fields: Any) -> None:
         """Submit goals; each is begun, or waits, before the next one comes."""
         for motion in motions:

@@ -25,8 +25,10 @@ from robot.description.joined import prefixed
 from robot.description.model import RobotModel
 from robot.description.servo_table import HardwareTable
 from robot.messages import PARKING_TIMEOUT_S, CommandDone, Mode, Order, ParkingPlan
+from robot.stop_epochs import STOP_EPOCHS
 from server.arm.arms import ServedArm
 from server.arm.setup import Description
+from server.arrival import arrived_in
 from server.config import ArmSettings, Settings
 from server.errors import ConfigurationError
 from server.execution.goal import Goal, GoalRequest, GoalState, Progress
@@ -70,6 +72,9 @@ class KeepingArm(FakeArm):
 
     async def rest(self, timeout_s: float) -> bool:
         return timeout_s > 0.0
+
+    async def close(self, epoch: int) -> None:
+        self.parked_at_end = not self.last_stop > epoch
 
 
 def described(robot: RobotModel) -> Description:
@@ -262,6 +267,16 @@ async def test_the_end_of_the_server_takes_no_way_from_an_arm_that_is_parked(two
     assert [arm.keeps for arm in two_arms.arms] == [True, True]
 
 
+async def test_an_arm_that_is_stopped_while_the_one_before_it_is_parked_is_not_parked_at_the_end() -> None:
+    left, right = (world := World(SIDES, on_exit="park")).arms
+    stopped: Callable[[], None] = right.stop
+    world.while_planning = lambda: world.asked[1:] or stopped()
+    with arrived_in(STOP_EPOCHS.present):
+        await world.context.goals.queue.close(1.0)
+        await world.parkings.stop()
+    assert [left.parked_at_end, right.parked_at_end] == [True, False]
+
+
 class Leaving:
     """Clients that come and go; the arm is parked or relaxed by what it is told."""
 
@@ -277,6 +292,7 @@ class Leaving:
         self.last = LastClient(cast("ArmParking", self), self.drivers, lambda: self.now_s)
 
     def park(self, _source: str) -> asyncio.Future[CommandDone]:
+        self.last_stop = STOP_EPOCHS.begin()
         return self._did("park", done=self.parks)
 
     def order(self, order: Order) -> asyncio.Future[CommandDone]:
@@ -345,8 +361,20 @@ async def test_an_arm_that_a_viewer_stops_on_its_way_to_the_rest_pose_holds(monk
     monkeypatch.setattr(leaving, "park", lambda _source: parked)
     running = asyncio.create_task(leaving.last.run())
     await leaving.leave()
-    leaving.last_stop += 1
+    leaving.last_stop = STOP_EPOCHS.begin()
     parked.set_result(CommandDone(0, done=False, message="stopped by /arm/stop"))
+    await asyncio.sleep(LOOKS_S)
+    running.cancel()
+    await asyncio.wait([running])
+    assert leaving.done == []
+
+
+async def test_an_arm_that_a_viewer_stops_after_the_last_client_has_left_is_not_parked() -> None:
+    leaving = Leaving()
+    leaving.come_and_go()
+    leaving.last_stop = STOP_EPOCHS.begin()
+    running = asyncio.create_task(leaving.last.run())
+    leaving.now_s += 10.0
     await asyncio.sleep(LOOKS_S)
     running.cancel()
     await asyncio.wait([running])

@@ -1,13 +1,15 @@
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
+from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from server.errors import GraphError
 from server.graph import latching, topics
 from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import STOP_EVENT, STOPPING, Identity, Role
 from server.graph.topics import MAX_TOPICS_FOR_VIEWERS, MAX_TOPICS_OF_PUBLISHER, UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from tests.helpers.clock import FakeClock
 from tests.helpers.cost import count_calls
@@ -127,6 +129,20 @@ def test_the_topics_that_a_client_publishes_on_without_advertising_them_are_boun
     with pytest.raises(GraphError, match=f"publishes on {MAX_TOPICS_OF_PUBLISHER} topics already"):
         graph.publish(CLIENT, f"/t{MAX_TOPICS_OF_PUBLISHER}", {})
     graph.publish(CLIENT, "/t0", {})
+    heard: list[Any] = []
+    graph.subscribe(TALKER, "/stop", "std_msgs/Empty", Subscriber(heard.append, rule=STOPPING))
+    graph.publish(CLIENT, "/stop", {})
+    assert heard
+
+
+def test_a_message_that_does_not_fit_stops_all_the_same(graph: Graph) -> None:
+    heard: list[Any] = []
+    graph.subscribe(TALKER, "/stop", "std_msgs/Empty", Subscriber(heard.append, rule=STOPPING))
+    graph.subscribe(TALKER, "/event", "std_msgs/String", Subscriber(heard.append, rule=STOP_EVENT))
+    graph.publish(CLIENT, "/stop", {"data": False})
+    with pytest.raises(MessageError):
+        graph.publish(CLIENT, "/event", {"data": False})
+    assert [(each.topic, each.msg) for each in heard] == [("/stop", {})]
 
 
 def come_and_go(graph: Graph, client: Node) -> None:

@@ -50,6 +50,7 @@ def test_a_motion_to_the_very_limit_is_accepted(joint: int, upper: bool) -> None
 
 
 PAN = "shoulder_pan"
+UPPER = float(BOUNDS.upper_rad[0])
 
 
 def curve(time_s: list[float], positions: list[float], velocities: list[float]) -> Trajectory:
@@ -59,8 +60,9 @@ def curve(time_s: list[float], positions: list[float], velocities: list[float]) 
     return Trajectory(("elbow_flex", PAN), np.array(time_s), *columns)
 
 
-def reason_of(trajectory: Trajectory, *, in_motion: bool = False) -> str:
-    return refusal(trajectory, NAMES, BOUNDS, np.zeros(6), in_motion=in_motion)
+def reason_of(trajectory: Trajectory, *, held_rad: float = 0.0, in_motion: bool = False) -> str:
+    """The reason to refuse it where the arm holds the pan there."""
+    return refusal(trajectory, NAMES, BOUNDS, np.array([held_rad, *[0.0] * 5]), in_motion=in_motion)
 
 
 AT_REST = "s with 0.50 rad/s; it must be at rest there (tolerance 0.10 rad/s)"
@@ -107,6 +109,8 @@ def test_a_motion_has_from_1_sample_to_those_of_half_an_hour() -> None:
         reason = reason_of(curve(*[(np.arange(samples) * factor).tolist() for factor in (0.01, 0.0, 0.0)]))
         assert (reason == "") is (samples in (1, 180_000)), samples
         assert reason in ("", f"the motion has {samples} samples; 1 to 180000 are allowed")
+    one = curve([0.0], [UPPER + 0.03], [0.0])
+    assert "beyond its limits -1.922 to 1.922 rad, at 0.000 s" in reason_of(one, held_rad=UPPER)
 
 
 def test_a_profile_at_the_limits_is_accepted_however_it_is_sampled() -> None:
@@ -121,7 +125,6 @@ def test_a_profile_at_the_limits_is_accepted_however_it_is_sampled() -> None:
 
 SPEEDS = st.lists(st.floats(min_value=-2.0, max_value=2.0), min_size=2, max_size=6)
 WAYS = st.lists(st.floats(min_value=-0.3, max_value=0.3), min_size=7, max_size=7)
-UPPER = float(BOUNDS.upper_rad[0])
 
 
 @given(SPEEDS, WAYS, st.floats(0.1, 1.0), st.sampled_from((0.0, UPPER - 0.1, 0.1 - UPPER)))
@@ -148,7 +151,7 @@ def test_a_curve_is_refused_where_it_leaves_the_limits(
             np.abs(acceleration).max() / (BOUNDS.max_acceleration[0] * 1.7),
         ]
     )
-    refused = refusal(trajectory, NAMES, BOUNDS, np.array([held_rad, *[0.0] * 5])) != ""
+    refused = reason_of(trajectory, held_rad=held_rad) != ""
     if shares.max() > 1.0 + 1e-6:
         assert refused
     elif shares.max() < 1.0 - 1e-4:

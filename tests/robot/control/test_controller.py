@@ -283,6 +283,8 @@ def test_a_fault_ends_motions_with_its_outcome_brakes_or_freezes_and_only_a_grav
     rig.run(100)
     moved_rad = rig.controller.goal_rad[0] - at_fault_rad
     assert moved_rad == pytest.approx(0.0) if code in FREEZING else 0.0 < moved_rad < 0.3
+    accelerations = np.abs(np.diff(np.array(rig.goals)[:, 0], n=2)) / PERIOD_S**2 / BOUNDS.max_acceleration[0]
+    assert bool(accelerations.max() <= 1.05) is (code not in FREEZING)
     assert not rig.controller.moving
     for later in FaultCode:
         rig.controller.fault = Fault(code, "it was found")

@@ -60,6 +60,7 @@ class SteppedChannel:
         if self.messages and self.messages[0][0] <= until_s:
             until_s = max(self.now_s, self.messages[0][0])
         self.now_s = until_s + self.lag_s
+        assert self.now_s < 60.0, "the loop never ends"
         due = [message for at_s, message in self.messages if at_s <= until_s]
         del self.messages[: len(due)]
         return due

@@ -196,13 +196,14 @@ def test_an_arm_found_outside_its_soft_limits_may_be_brought_back_inside() -> No
     assert np.array(rig.goals)[:, 0].max() <= outside
 
 
-@pytest.mark.parametrize("way", ["motion", "stream", "stopped motion"])
+@pytest.mark.parametrize("way", ["motion", "stream", "stopped motion", "motion of two joints"])
 def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque_even_if_stopped(way: str) -> None:
     rig = Rig([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])
     if way == "stream":
         rig.controller.stream(Stream(1, ("gripper",), gripping=True))
     else:
-        rig.controller.execute(Execute(1, move(gripper=(1.5, 0.0)), gripping=True, torque_share=0.8))
+        others = {"wrist_roll": (0.0, 0.5)} if way == "motion of two joints" else {}
+        rig.controller.execute(Execute(1, move(**others, gripper=(1.5, 0.0)), gripping=True, torque_share=0.8))
     object_rad, ended = 0.8, None
     for _ in range(600):
         rig.controller.steer(Setpoint(1, np.array([-0.8])))
@@ -212,6 +213,7 @@ def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque_
             rig.controller.stop()
         ended = rig.tick(lag=lag, load=[0, 0, 0, 0, 0, -0.45 if lag[5] > 0.05 else 0.0]) or ended
     assert ended.outcome is (Outcome.STOPPED if way == "stopped motion" else Outcome.GRIPPED)
+    assert way == "stopped motion" or ended.message == "joint gripper holds something at 0.800 rad"
     assert rig.controller.fault is None
     # 0.05 rad inside of the object, with half of the torque.
     assert rig.controller.goal_rad[5] == pytest.approx(object_rad - 0.05)

@@ -56,7 +56,9 @@ log = logging.getLogger("armbridge.arm")
 
 Ending = TypeVar("Ending", MotionEnded, CommandDone)
 
-NO_MOTION = 0  # motions are numbered from 1 on
+NO_MOTION = 0  # motions are numbered from 1 on; the arm process's own is none of them
+
+STATE_POLL_S = 0.02
 
 # Orders sent before the process is configured are queued; configuring takes a fraction of a second.
 MAX_EARLY_ORDERS = 16
@@ -299,7 +301,13 @@ class Arm(ArmClock):
 
     async def rest(self, timeout_s: float) -> bool:
         """Wait until every motion in progress has ended; return True when they have within ``timeout_s``."""
-        return await self.wait(list(self._motions.values()), timeout_s)
+        until_s = self.clock_s + timeout_s
+        ended = await self.wait(list(self._motions.values()), timeout_s)
+        # The arm process's own way to the rest pose is in the states alone.
+        while ended and any(each.motion_id == NO_MOTION for each in self.state.motions):
+            ended = self.clock_s < until_s and self.state_age_s < SILENT_S
+            await asyncio.sleep(STATE_POLL_S)
+        return ended
 
     def order(
         self, order: Order, calibration: Calibration | None = None, epoch: int | None = None

@@ -48,7 +48,7 @@ from robot.messages import (
     Stream,
 )
 from robot.physics.bodies import SetBodies
-from robot.processes import Child, DescriptorReserve, RestartDelay, StartedChild
+from robot.processes import ENDED_IN_ORDER, Child, DescriptorReserve, RestartDelay, StartedChild
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from robot.trajectory import Trajectory, Vector
 
@@ -362,10 +362,12 @@ class Arm(ArmClock):
                 await self._wait_for_end(ended)
                 if ended.done():
                     await self._process.leave()
-                else:
-                    # The last state does not tell: the process may have hung while it relaxed.
-                    advice = "" if self._config.hardware.simulated else f". {TORQUE_LEFT_ON}"
-                    log.warning("the arm process does not end and is killed; torque may be on at every joint%s", advice)
+            # The last state does not tell: the process may have hung, or been killed, while it relaxed.
+            if self._begun and (ending := self._process.ending) != ENDED_IN_ORDER:
+                advice = "" if self._config.hardware.simulated else f". {TORQUE_LEFT_ON}"
+                log.warning(
+                    "the arm process has not ended in order (%s); torque may be on at every joint%s", ending, advice
+                )
             await self._process.kill()
         except asyncio.CancelledError:
             self._process.send(Shutdown(hurry=True))
@@ -604,6 +606,10 @@ class ArmProcess:
         else:
             self._early.append(command)
         return True
+
+    @property
+    def ending(self) -> str:
+        return "it was never started" if self._child is None else self._child.ending
 
     async def leave(self) -> None:
         """Wait until a process that has closed its channel is gone; kill it when it stays."""

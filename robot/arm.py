@@ -56,7 +56,7 @@ log = logging.getLogger("armbridge.arm")
 
 Ending = TypeVar("Ending", MotionEnded, CommandDone)
 
-NO_MOTION = 0  # motions are numbered from 1 on; the arm process's own is none of them
+NO_MOTION = 0  # motions are numbered from 1 on; 0 is a motion of the arm process itself
 
 STATE_POLL_S = 0.02
 

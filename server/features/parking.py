@@ -349,11 +349,10 @@ class LastClient:
             parked = await parking
             if parked.done:
                 return
-            if self._arm.last_stop != last_stop:
-                log.warning("%s; the arm was stopped, and holds", parked.message)
-                return
-            if self._drivers:
-                log.warning("%s; a client is connected again, and the arm holds", parked.message)
+            stopped = self._arm.last_stop != last_stop
+            if stopped or self._drivers:
+                why = "the arm was stopped" if stopped else "a client is connected again"
+                log.warning("%s; %s: the arm holds", parked.message, why)
                 return
             log.warning("%s; it is relaxed where it is", parked.message)
         relaxed = await self._arm.order(Order.RELAX)

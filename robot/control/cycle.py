@@ -127,13 +127,11 @@ def arm_state(
     )
     if controller is None:
         return state
-    motion = controller.motion
+    if (motion := controller.motion) is not None:
+        state = replace(state, motion_id=motion.motion_id, fraction=motion.fraction, remaining_s=motion.remaining_s)
     return replace(
         state,
-        goal_rad=controller.goal_rad if controller.torque_enabled else measured.position_rad,
-        motion_id=None if motion is None else motion.motion_id,
-        fraction=0.0 if motion is None else motion.fraction,
-        remaining_s=0.0 if motion is None else motion.remaining_s,
+        goal_rad=controller.goal_rad,
         motions=controller.progress,
         pace=controller.pace,
         torque_enabled=controller.torque_enabled,

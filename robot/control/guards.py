@@ -28,7 +28,7 @@ VOLTAGE_BIT_TIME_S = 2.0
 # Of the distance at which a joint counts as being at its goal, 0.06 rad, a third is backlash (0.9 to 1.0 deg were
 # measured); the rest is droop under load (1.8 to 2.6 deg), in inverse proportion to the gain.
 DROOP_SHARE = 2.0 / 3.0
-LARGEST_TOLERANCE_RAD = 0.3
+LARGEST_TOLERANCE_RAD = 0.3  # the most that goal_tolerance_rad may be set to
 
 # A protection is kept at this distance: its threshold is compared with a load that is measured in steps of 0.1 % and
 # that ripples.
@@ -89,8 +89,8 @@ class ActuatorThresholds:
         threshold = np.minimum(actuation.overload_torque, actuation.overload_current_a / actuation.stall_current_a)
         within = threshold >= full_torque
         return cls(
-            goal_tolerance_rad=np.minimum(tolerance, max(LARGEST_TOLERANCE_RAD, limits.goal_tolerance_rad)),
-            sustained_torque=np.where(within, full_torque, np.minimum(MARGIN * threshold, full_torque)),
+            goal_tolerance_rad=np.minimum(tolerance, LARGEST_TOLERANCE_RAD),
+            sustained_torque=np.where(within, full_torque, MARGIN * threshold),
             relieve_after_s=np.where(within, np.inf, RELIEF_SHARE * actuation.overload_time_s),
             stall_current_a=np.minimum(limits.stall_current_a, MARGIN * actuation.overload_current_a),
             stall_time_s=np.minimum(limits.stall_time_s, STALL_SHARE * actuation.overload_time_s),
@@ -215,7 +215,7 @@ class Guards:
         further_rad = [abs(at - was) - jump_rad for at, was, jump_rad in ways]
         if max(further_rad) <= 0.0:
             return []
-        gaps_s = np.maximum(now_s - measured.age_s - (before_s - before.age_s), 0.0)
+        gaps_s = now_s - measured.age_s - (before_s - before.age_s)
         return [bool(jumped) for jumped in np.array(further_rad) > self.thresholds.free_speed_rad_s * gaps_s]
 
     def _stalling(self, errors: Sequence[float], measured: Measured, torque_limit: Vector, now_s: float) -> list[bool]:

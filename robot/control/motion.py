@@ -165,7 +165,6 @@ class VelocityTracking:
 BRAKING_SHARE = 0.05
 
 STANDSTILL_BRAKING = 1e3  # change of the rate where nothing moves, at the ends of a motion [1/s]: stops within one tick
-STOPPED_RATE = 1e-3  # below this rate the rest of the stop is shorter than one tick
 SETTLED_TICKS = 3  # ticks in a row within the goal tolerance, after which a joint counts as settled
 
 # Spliced trajectories coincide to within these [rad], [rad/s]: far below a servo's tick.
@@ -278,8 +277,6 @@ class Motion:
         direction = math.copysign(1.0, wanted - self._rate)
         change = self._largest_change(elapsed_s, direction) * elapsed_s
         self._rate = max(wanted, self._rate - change) if direction < 0.0 else min(wanted, self._rate + change)
-        if wanted == 0.0 and abs(self._rate) < STOPPED_RATE:
-            self._rate = 0.0
 
     def _largest_change(self, elapsed_s: float, direction: float) -> float:
         """Return the fastest change of the rate, up (1) or down (-1), within all acceleration limits [1/s]."""

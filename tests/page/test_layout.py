@@ -6,8 +6,16 @@ from collections.abc import Iterator
 import pytest
 from playwright.sync_api import Browser
 
+from harness.clients import goal
 from harness.page import LYING_PHONE, PHONE, SIZES, OpenPage, opened
 from harness.server import RunningServer
+
+# The lower arm in the shoulder, and MoveIt's code for it.
+COLLIDING = {"name": ["shoulder_lift", "elbow_flex", "wrist_flex"], "position": [1.7, 1.6, 0.0]}
+GOAL_IN_COLLISION = -12
+
+# Thirty letters stand beside each other.
+LEAST_SENTENCE_PX = 180
 
 # Texts of controls that their box cuts off, panels and tables that scroll sideways, and what leaves the window.
 FIND_CUT = """() => {
@@ -37,12 +45,16 @@ def page(browser: Browser, server: RunningServer, request: pytest.FixtureRequest
     with opened(browser, locale=request.param) as open_page:
         open_page.open(server.port)
         open_page.until_state("s.identity !== null && s.servos.length > 0")
+        # The bar is fullest where it offers another goal beside a long sentence.
+        assert goal(server.url, "/moveit_goal_joints", COLLIDING)["val"] == GOAL_IN_COLLISION
+        open_page.part("suggestion").wait_for()
         yield open_page
 
 
 @pytest.mark.parametrize("size", SIZES, ids=[f"{width}x{height}" for width, height in SIZES])
 def test_nothing_is_cut_off_or_covered_in_any_panel(page: OpenPage, size: tuple[int, int]) -> None:
     page.page.set_viewport_size({"width": size[0], "height": size[1]})
+    assert page.box("message")["width"] > LEAST_SENTENCE_PX
     found = {}
     for panel in page.open_panels():
         for name, find in (("cut", FIND_CUT), ("covered", FIND_COVERED)):

@@ -77,6 +77,17 @@ def test_the_ball_at_the_gripper_is_dragged_in_the_plane_of_the_picture(page: Op
     assert page.screen_of(tuple(wished)) == pytest.approx((x - 30, y - 40), abs=3)
     # The ghost follows as far as the arm can.
     page.until_state("s.target.joints_rad !== null")
+    # Outside of Move there is no ball: the same drag turns the view.
+    page.part("forget-wish").click()
+    page.open_panel("world")
+    x, y = page.screen_of(tuple(start))
+    mouse.move(x, y)
+    mouse.down()
+    mouse.move(x - 30, y - 40, steps=5)
+    mouse.up()
+    assert page.state("selection.kind") == "none"
+    assert page.screen_of(tuple(start)) != pytest.approx((x, y), abs=3)
+    page.open_panel("move")
     page.page.mouse.move(20, 300)
 
 

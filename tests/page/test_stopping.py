@@ -2,6 +2,7 @@
 
 import functools
 import json
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -154,6 +155,23 @@ def test_letting_go_of_a_button_of_the_tip_is_no_slower_than_a_stop(
     assert min(ways_rad[let_go]) < 1.5 * max(ways_rad[stop]), ways_rad
 
 
+def test_a_button_that_is_let_go_while_the_server_stands_moves_nothing_when_it_goes_on(
+    page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer
+) -> None:
+    page.part("jog-z-minus").scroll_into_view_if_needed()
+    with heard(server.url, COMMANDED, "/servo_node/delta_twist_cmds") as messages:
+        move(record, lambda: fingers.press(1, "jog-z-minus"), lambda: fingers.lift(1))
+        server.process.send_signal(signal.SIGSTOP)
+        time.sleep(1.0)
+        # By now the arm has come to rest by itself.
+        fingers.lift(1)
+        let_go_s = time.time()
+        server.process.send_signal(signal.SIGCONT)
+        page.wait(functools.partial(rests, messages))
+    after_rad = commanded_rad(messages, since_s=let_go_s)
+    assert after_rad == [pytest.approx(after_rad[0], abs=1e-3)] * len(after_rad)
+
+
 Heard = list[tuple[str, dict[str, Any]]]
 
 
@@ -177,8 +195,14 @@ def heard(url: str, *topics: str) -> Iterator[Heard]:
     reader.join(5.0)
 
 
-def commanded_rad(messages: Heard) -> list[list[float]]:
-    return [msg["reference"]["positions"] for topic, msg in messages if topic == COMMANDED]
+def commanded_rad(messages: Heard, since_s: float = 0.0) -> list[list[float]]:
+    states = [msg for topic, msg in messages if topic == COMMANDED and stamp_s(msg) >= since_s]
+    return [state["reference"]["positions"] for state in states]
+
+
+def stamp_s(msg: dict[str, Any]) -> float:
+    stamp = msg["header"]["stamp"]
+    return float(stamp["sec"] + 1e-9 * stamp["nanosec"])
 
 
 def end_at(messages: Heard) -> int:

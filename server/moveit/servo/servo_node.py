@@ -5,7 +5,8 @@ import json
 import logging
 import math
 import time
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -97,6 +98,15 @@ _TOPICS = {
 }
 
 
+@dataclass
+class Press:
+    """Last press of a client that announces its presses."""
+
+    epoch: int  # stop epoch of its arrival
+    timeout_s: float  # time after which this client's commands expire [s]
+    delay_s: float = math.inf  # of the fastest command since, which contains the difference of both clocks [s]
+
+
 class StatusPublisher:
     """Publisher of ``/servo_node/status``, after every step of the loop and for every rejected command."""
 
@@ -118,30 +128,23 @@ class StatusPublisher:
                 self._logged, self._logged_at_s = message, now_s
                 log.warning("servo: %s", message)
         if self._type_name == INT8:
-            values: dict[str, object] = {"data": HUMBLE_NUMBERS.get(status, int(status))}
+            self._graph.publish(self._node, STATUS_TOPIC, {"data": HUMBLE_NUMBERS.get(status, int(status))})
         else:
-            values = {"code": int(status), "message": message}
-        self._graph.publish(self._node, STATUS_TOPIC, values)
+            self._graph.publish(self._node, STATUS_TOPIC, {"code": int(status), "message": message})
 
 
 class CommandGate:
-    """Gate for commands: it lets commands of the client in control pass, of the selected type.
-
-    Args:
-        timeout_s: after a silence of this time a stick counts as released [s].
-        arm: the arm, whose stops release a held stick.
-    """
+    """Gate for commands: it lets commands of the client in control pass, of the selected type. A stop ends sticks."""
 
     def __init__(self, present: Callable[[object], bool], timeout_s: float, arm: AnyArm) -> None:
         self._present = present
         self.owner: object = None  # the client in control, until it leaves or sends no more commands
-        self._timeout_s = timeout_s
+        self._timeout_s = timeout_s  # a stick that is silent for so long counts as released
         self._arm = arm
         # Stop epoch of the last command.
         self._heard_epoch = 0
-        # Stop epoch of the last press of each client that announces its presses.
-        self._presses: dict[object, int] = {}
-        self._timeouts_s: dict[object, float] = {}
+        # Of each client that announces its presses.
+        self._presses: dict[object, Press] = {}
         self._selected: CommandType | None = None
         self._heard_s = -float("inf")
         self._interrupted = ""
@@ -163,24 +166,34 @@ class CommandGate:
         if not math.isfinite(timeout_s) or timeout_s < LEAST_TIMEOUT_S:
             text = f"{TIMEOUT_TOPIC}: data must be at least {LEAST_TIMEOUT_S:g} s, not {timeout_s:g}"
             raise invalid(text, field="data")
-        self._presses = {each: epoch for each, epoch in self._presses.items() if each in present}
-        self._timeouts_s = {each: chosen_s for each, chosen_s in self._timeouts_s.items() if each in present}
-        self._presses[client], self._timeouts_s[client] = arrival_epoch(), timeout_s
+        self._presses = {each: press for each, press in self._presses.items() if each in present}
+        self._presses[client] = Press(arrival_epoch(), timeout_s)
 
     def timeout_s(self, client: object) -> float:
         """Return the time after which a client's commands expire [s]."""
-        return min(self._timeouts_s.get(client, self._timeout_s), self._timeout_s)
+        press = self._presses.get(client)
+        return self._timeout_s if press is None else min(press.timeout_s, self._timeout_s)
+
+    def has_expired(self, client: object, stamp: Mapping[str, int], now_s: float) -> bool:
+        """Return true for a stamped command that waited while server or network stood still, and may be over."""
+        press, sent_s = self._presses.get(client), stamp["sec"] + 1e-9 * stamp["nanosec"]
+        if press is None or sent_s == 0.0:
+            return False
+        press.delay_s = min(press.delay_s, now_s - sent_s)
+        return now_s - sent_s > press.delay_s + self.timeout_s(client)
 
     def interrupt(self, reason: str) -> None:
         """Reject all commands until the stick is released: the arm was stopped from elsewhere."""
         self._interrupted = reason
-        self._presses = dict.fromkeys(self._presses, BEFORE_EVERY_STOP)
+        for press in self._presses.values():
+            press.epoch = BEFORE_EVERY_STOP
 
     def reset(self) -> None:
         """Accept commands again after an interruption."""
         self._interrupted = ""
         self._heard_epoch = arrival_epoch()
-        self._presses = dict.fromkeys(self._presses, self._heard_epoch)
+        for press in self._presses.values():
+            press.epoch = self._heard_epoch
 
     def rejection(self, client: object, kind: CommandType, now_s: float) -> str:
         """Return the reason for not following a command; empty if it is followed."""
@@ -193,7 +206,8 @@ class CommandGate:
         self.owner = client
         silence_s, self._heard_s = now_s - self._heard_s, now_s
         stopped, last_stop = is_stopped(self._arm.last_stop), self._arm.last_stop
-        pressed = not is_stopped(last_stop, self._presses.get(client))
+        press = self._presses.get(client)
+        pressed = press is None or not is_stopped(last_stop, press.epoch)
         if silence_s > self._timeout_s and pressed and not stopped:
             self._interrupted = ""
         elif stopped or is_stopped(last_stop, self._heard_epoch):
@@ -263,8 +277,8 @@ class ServoNode:
         self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject, rule=SWITCHING))
 
     def _take_command(self, kind: CommandType, published: PublishedMessage) -> None:
-        client = published.publisher
-        rejection = self._gate.rejection(client, kind, time.monotonic())
+        client, now_s = published.publisher, time.monotonic()
+        rejection = self._gate.rejection(client, kind, now_s)
         if rejection and self._gate.owner is not client:
             if rejection != self._logged:
                 self._logged = rejection
@@ -275,6 +289,8 @@ class ServoNode:
             check_ready(self._arm)
             command = self._read(kind, published.msg)
             if not command.zero:
+                if self._gate.has_expired(client, published.msg["header"]["stamp"], now_s):
+                    raise invalid("the command has expired on its way")
                 self._queue.take_over(self._busy_joints, f"steering by {client}")
             if busy := self._queue.busy(self._busy_joints):
                 raise invalid(busy)

@@ -1,18 +1,22 @@
-import contextlib
-import socket
-import time
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
-from robot.channel import Channel
+from robot.control import loop
 from robot.control.loop import ArmLoop, hardware_opener
-from robot.control.pacing import MAX_TICK_S, Pacer, Scheduling
+from robot.control.pacing import LoopClock, Scheduling
 from robot.errors import PortError
 from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
-from robot.messages import ArmConfig, Mode
+from robot.hardware.interface import HardwareInterface, Measured
+from robot.messages import ArmConfig, ArmState, Command, Execute, Heartbeat, Mode, MotionEnded, Order, Outcome, Shutdown
 from tests.helpers import dynamixel
 from tests.helpers.arm_rig import CALIBRATION, NAMES, ROBOT
 from tests.helpers.emulator import SteppedClock
+from tests.helpers.motions import smooth_move
 from tests.helpers.programs import run_python
 
 
@@ -33,23 +37,130 @@ def test_a_port_that_is_not_there_is_an_error_only_when_it_is_opened() -> None:
             open_hardware()
 
 
-def test_sequences_go_on_when_every_tick_is_late() -> None:
-    ours, theirs = socket.socketpair()
-    with ours, theirs:
-        loop = ArmLoop(Channel(theirs), ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), Scheduling())
-        supervisor = loop._supervisor
-        supervisor.connect(loop._open())
-        for tick in range(1000):
-            late = Pacer(time.monotonic() - 1.0)
-            loop._between_ticks(late)
-            loop._clock.start_tick(time.monotonic() + tick * MAX_TICK_S)
-            supervisor.tick(late, server_gone=False)
-            ours.setblocking(False)
-            with contextlib.suppress(BlockingIOError):
-                ours.recv(1 << 20)
-            if supervisor.mode is Mode.HOLDING:
-                break
-        assert supervisor.mode is Mode.HOLDING
+class SteppedChannel:
+    """The server's end of a loop in stepped time: each message comes at its time, and waiting passes the time."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, config: ArmConfig, *messages: tuple[float, object]) -> None:
+        self.now_s = 0.0
+        self.lag_s = 0.0  # time that each look at the messages takes
+        self.messages = list(messages)
+        self.sent: list[tuple[float, Any]] = []
+        self.gone_at_s = math.inf
+        monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: self.now_s, sleep=self.receive))
+        self.loop = ArmLoop(self, config, Scheduling())  # type: ignore[arg-type]
+
+    @property
+    def closed(self) -> bool:
+        return self.now_s >= self.gone_at_s
+
+    def receive(self, timeout_s: float) -> list[object]:
+        until_s = self.now_s + timeout_s
+        if self.now_s < self.gone_at_s < until_s:
+            until_s = self.gone_at_s
+        if self.messages and self.messages[0][0] <= until_s:
+            until_s = max(self.now_s, self.messages[0][0])
+        self.now_s = until_s + self.lag_s
+        assert self.now_s < 60.0, "the loop never ends"
+        due = [message for at_s, message in self.messages if at_s <= until_s]
+        del self.messages[: len(due)]
+        return due
+
+    def send(self, message: object, *, droppable: bool) -> None:
+        self.sent.append((self.now_s, message))
+
+    def kept(self, kind: type) -> list[tuple[float, Any]]:
+        """All messages of a kind that were sent, with their times."""
+        return [(at_s, message) for at_s, message in self.sent if isinstance(message, kind)]
+
+
+IDEAL = ArmConfig(ROBOT, IdealConfig(driven=True))
+
+
+def test_hardware_that_cannot_be_opened_is_tried_again_ever_later_and_at_once_after_it_was_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried_s: list[float] = []
+    channel = SteppedChannel(monkeypatch, IDEAL, (12.0, Shutdown()))
+
+    def fail() -> HardwareInterface:
+        tried_s.append(channel.now_s)
+        if len(tried_s) == 6:
+            hardware = hardware_opener(IDEAL, SteppedClock())()
+            hardware.read = fail  # type: ignore[assignment, method-assign]
+            return hardware
+        raise PortError("/dev/none", "is not there")
+
+    monkeypatch.setattr(loop, "hardware_opener", lambda *_: fail)
+    channel.loop.run()
+    # The sixth is there, and lost in its first tick.
+    assert tried_s == pytest.approx([0.0, 0.2, 0.6, 1.4, 3.0, 5.0, 5.01, 5.21, 5.61, 6.41, 8.01, 10.01], abs=1e-6)
+
+
+def ticks_of(channel: SteppedChannel, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """Run the loop until its end; returns the times of its ticks."""
+    ticked_s: list[float] = []
+
+    def opener(config: ArmConfig, clock: LoopClock) -> Callable[[], HardwareInterface]:
+        hardware = hardware_opener(config, clock)()
+        read = hardware.read
+
+        def recorded() -> Measured | None:
+            ticked_s.append(channel.now_s)
+            return read()
+
+        hardware.read = recorded  # type: ignore[method-assign]
+        return lambda: hardware
+
+    monkeypatch.setattr(loop, "hardware_opener", opener)
+    channel.loop.run()
+    return np.array(ticked_s)
+
+
+PAN = smooth_move({"shoulder_pan": (0.0, 1.0)}, 1.5)
+
+
+@pytest.mark.parametrize(("asked_s", "first_s"), [(2.023, 2.03), (2.047, 2.047)])
+def test_a_tick_is_every_hundredth_second_or_skipped_at_rest_and_at_once_for_a_message(
+    monkeypatch: pytest.MonkeyPatch, asked_s: float, first_s: float
+) -> None:
+    messages = (0.1, Heartbeat(observed=False)), (asked_s, Execute(1, PAN)), (4.5, Shutdown())
+    channel = SteppedChannel(monkeypatch, IDEAL, *messages)
+    ticked_s = ticks_of(channel, monkeypatch)
+    ((ended_s, ended),) = channel.kept(MotionEnded)
+    assert (ended.outcome, ended_s - first_s) == (Outcome.REACHED, pytest.approx(1.52, abs=0.011))
+    begun = int(np.searchsorted(ticked_s, first_s - 1e-6))
+    over = int(np.searchsorted(ticked_s, ended_s - 1e-6))
+    assert ticked_s[begun - 1 : begun + 1] == pytest.approx([2.02, first_s])
+    assert np.diff(ticked_s[begun : over + 1]) == pytest.approx(0.01)
+    # Every other tick, after half a second at rest every fifth.
+    assert np.diff(ticked_s[over : over + 26]) == pytest.approx(0.02)
+    assert np.diff(ticked_s[over + 26 :]) == pytest.approx(0.05)
+
+
+def test_sequences_go_on_when_every_tick_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    channel = SteppedChannel(monkeypatch, ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), (20.0, Shutdown()))
+    channel.lag_s = 0.05
+    ticks_of(channel, monkeypatch)
+    assert any(state.mode is Mode.HOLDING for _, state in channel.kept(ArmState))
+
+
+def test_of_messages_that_come_together_an_emergency_stop_goes_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    together = (1.0, Execute(1, PAN)), (1.0, Command(1, Order.EMERGENCY_STOP, epoch=1)), (1.0, Execute(2, PAN, epoch=1))
+    channel = SteppedChannel(monkeypatch, IDEAL, *together, (2.0, Shutdown()))
+    ticks_of(channel, monkeypatch)
+    ends = [(ended.motion_id, ended.outcome) for _, ended in channel.kept(MotionEnded)]
+    assert ends == [(1, Outcome.STOPPED), (2, Outcome.REFUSED)]
+
+
+@pytest.mark.parametrize("opens", [True, False])
+def test_a_server_that_is_gone_ends_the_loop(monkeypatch: pytest.MonkeyPatch, opens: bool) -> None:
+    config = IDEAL if opens else ArmConfig(ROBOT, SerialConfig(CALIBRATION, "/dev/none"))
+    channel = SteppedChannel(monkeypatch, config, (1.0, Execute(1, PAN)))
+    channel.gone_at_s = 1.5
+    channel.loop.run()
+    assert 1.5 <= channel.now_s < 2.5
+    ((_, ended),) = channel.kept(MotionEnded)
+    assert ended.outcome is (Outcome.STOPPED if opens else Outcome.BUS_LOST)
 
 
 @pytest.mark.parametrize(
@@ -57,15 +168,18 @@ def test_sequences_go_on_when_every_tick_is_late() -> None:
     [
         ("IdealConfig()", []),
         ("IdealConfig(physics=True)", ["mujoco"]),
-        ("EmulatedConfig(Calibration.nominal(so101.hardware.servos))", ["scservo_sdk", "serial"]),
+        ("EmulatedConfig(calibration)", ["scservo_sdk", "serial"]),
+        ("SerialConfig(calibration, '/dev/none')", ["scservo_sdk", "serial"]),
     ],
 )
-def test_each_kind_of_simulated_arm_loads_its_own_library_alone(hardware: str, loaded: list[str]) -> None:
+def test_each_kind_of_arm_loads_its_own_library_alone(hardware: str, loaded: list[str]) -> None:
     program = (
-        "import sys; from robot.description.robot_folder import built_in; from robot.messages import ArmConfig; "
-        "from robot.hardware.config import EmulatedConfig, IdealConfig; from robot.control.pacing import LoopClock; "
-        "from robot.calibration import Calibration; from robot.control.loop import hardware_opener; "
-        f"so101 = built_in('so101'); hardware_opener(ArmConfig(so101.model, {hardware}), LoopClock())(); "
+        "import sys; from robot.description.robot_folder import built_in; from robot.messages import ArmConfig\n"
+        "from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig\n"
+        "from robot.errors import PortError; from robot.calibration import Calibration\n"
+        "from robot.control.pacing import LoopClock; from robot.control.loop import hardware_opener\n"
+        "so101 = built_in('so101'); calibration = Calibration.nominal(so101.hardware.servos)\n"
+        f"try: hardware_opener(ArmConfig(so101.model, {hardware}), LoopClock())()\nexcept PortError: pass\n"
         "print(sorted({'serial', 'scservo_sdk', 'dynamixel_sdk', 'mujoco'} & set(sys.modules)))"
     )
     assert run_python(program).stdout.strip() == str(loaded)

@@ -4,25 +4,34 @@ import ctypes
 import errno
 import gc
 import logging
+import os
 import resource
 import time
+from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robot.control import pacing
-from robot.control.pacing import MAX_TICK_S, PERIOD_S, Pacer, SimulationClock
+from robot.control.pacing import PERIOD_S, Pacer, SimulationClock
 from robot.hardware.config import ClockReading
 
+# Two periods.
+MAX_TICK_S = 0.02
 
-def test_deadlines_are_absolute_so_that_lateness_does_not_add_up() -> None:
+
+def test_deadlines_are_absolute_so_that_lateness_does_not_add_up_and_is_kept_for_a_second() -> None:
     pacer = Pacer(0.0)
-    for tick in range(1, 100):
+    for tick in range(1, 150):
         assert pacer.deadline_s == pytest.approx(tick * PERIOD_S)
-        pacer.start_tick(pacer.deadline_s + 0.003)
+        pacer.start_tick(pacer.deadline_s + 1e-5 * tick)
+        assert pacer.tick_s == pytest.approx(tick * PERIOD_S + 1e-5 * tick)
+    assert pacer.latest(2) == pytest.approx((1.48e-3, 1.49e-3))
+    assert pacer.latest(150) == pytest.approx(tuple(1e-5 * tick for tick in range(50, 150)))
 
 
+@example([0.01, 0.02, 0.03, 0.07])
 @given(st.lists(st.floats(min_value=0.0, max_value=0.5), min_size=1, max_size=50))
 def test_missed_ticks_are_skipped_never_made_up_for(late_s: list[float]) -> None:
     pacer = Pacer(0.0)
@@ -53,21 +62,7 @@ def test_a_skipped_tick_puts_off_the_next_and_one_that_is_needed_meanwhile_is_du
 
 def test_percentiles_of_nothing_are_zero() -> None:
     assert pacing.percentiles([]) == (0.0, 0.0, 0.0)
-    assert pacing.percentiles([1.0, 2.0, 3.0])[::2] == (2.0, 3.0)
-
-
-def test_a_process_that_may_not_be_punctual_goes_on_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError
-
-    monkeypatch.setattr("os.sched_setscheduler", refuse)
-    monkeypatch.setattr("os.nice", refuse)
-    try:
-        assert pacing.enter_realtime() == pacing.Scheduling(real_time=False, memory_locked=False)
-        assert not gc.isenabled()
-    finally:
-        gc.enable()
-        gc.unfreeze()
+    assert pacing.percentiles(range(101)) == (50.0, 99.0, 100.0)
 
 
 class MemoryLocks:
@@ -91,7 +86,7 @@ class MemoryLocks:
     [
         (resource.RLIM_INFINITY, 0, ""),
         (1 << 30, 0, ""),
-        (8 << 20, 0, "RLIMIT_MEMLOCK is 8388608 bytes"),
+        ((1 << 30) - 1, 0, "RLIMIT_MEMLOCK is 1073741823 bytes"),
         (resource.RLIM_INFINITY, errno.ENOMEM, "memory is not locked: mlockall: Cannot allocate memory"),
     ],
 )
@@ -103,8 +98,40 @@ def test_memory_is_locked_as_it_is_used_or_the_cause_is_logged(
     monkeypatch.setattr("resource.getrlimit", lambda _: (limit_bytes, limit_bytes))
     with caplog.at_level(logging.INFO):
         assert pacing.lock_memory() is (words == "")
-    assert locks.flags == ([] if "RLIMIT" in words else [pacing.MCL_CURRENT | pacing.MCL_FUTURE | pacing.MCL_ONFAULT])
+    # MCL_CURRENT, MCL_FUTURE and MCL_ONFAULT of mlockall(2).
+    assert locks.flags == ([] if "RLIMIT" in words else [1 | 2 | 4])
     assert words in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("rate", "permitted", "asked", "scheduling"),
+    [
+        (1.0, True, [(0, os.SCHED_FIFO, 1)], (True, True)),
+        (1.0, False, [(0, os.SCHED_FIFO, 1), -10], (False, False)),
+        (10.0, True, [], (False, False)),
+    ],
+)
+def test_a_process_asks_to_be_punctual_unless_its_clock_is_fast_and_goes_on_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, rate: float, permitted: bool, asked: list[object], scheduling: tuple[bool, bool]
+) -> None:
+    requests: list[object] = []
+
+    def request(*wanted: Any) -> None:
+        requests.append(wanted[0] if len(wanted) == 1 else (*wanted[:2], wanted[2].sched_priority))
+        if not permitted:
+            raise PermissionError
+
+    monkeypatch.setattr("os.sched_setscheduler", request)
+    monkeypatch.setattr("os.nice", request)
+    monkeypatch.setattr("ctypes.CDLL", MemoryLocks(0))
+    monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+    try:
+        assert pacing.enter_realtime(rate) == scheduling
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
+        gc.unfreeze()
+    assert requests == asked
 
 
 def ticked(*gaps_s: float, rate: float = 1.0) -> SimulationClock:
@@ -140,13 +167,19 @@ def test_a_machines_clock_that_goes_back_takes_no_time_back() -> None:
     assert clock() == pytest.approx(50.0 + PERIOD_S)
 
 
-NO_LONGER_STARVED = [5.0, *[PERIOD_S] * 2 * pacing.TICKS_KEPT]
-
-
 @pytest.mark.parametrize(
-    ("gaps_s", "factor"), [([], 1.0), ([PERIOD_S] * 30, 1.0), ([4 * MAX_TICK_S] * 10, 0.25), (NO_LONGER_STARVED, 1.0)]
+    ("gaps_s", "factor"),
+    [
+        ([], 1.0),
+        ([PERIOD_S] * 30, 1.0),
+        ([4 * MAX_TICK_S] * 10, 0.25),
+        ([5.0, *[PERIOD_S] * 199], 2.01 / 6.99),
+        ([5.0, *[PERIOD_S] * 200], 1.0),
+    ],
 )
-def test_the_real_time_factor_is_the_share_of_the_machines_time_that_passed(gaps_s: list[float], factor: float) -> None:
+def test_the_real_time_factor_is_the_share_of_the_machines_time_in_two_seconds(
+    gaps_s: list[float], factor: float
+) -> None:
     assert ticked(*gaps_s).real_time_factor == pytest.approx(factor)
 
 

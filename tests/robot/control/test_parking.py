@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from robot.messages import (
     PARKING_TIMEOUT_S,
     ChangePace,
     EndState,
+    Execute,
     KeepParking,
     Mode,
     Order,
@@ -66,6 +69,7 @@ def distance_to_rest(rig: ArmRig) -> float:
 
 @pytest.mark.parametrize("orderly", [True, False], ids=["shut down", "server gone"])
 def test_an_end_at_rest_leaves_a_parked_and_relaxed_arm_that_hardly_sinks(rig: ArmRig, orderly: bool) -> None:
+    rig.supervisor.handle(KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, 0.009))))
     if orderly:
         rig.supervisor.handle(Shutdown())
     else:
@@ -107,6 +111,8 @@ def test_a_way_that_begins_elsewhere_is_not_played(rig: ArmRig, caplog: pytest.L
         (KeepParking(None), "no way to the rest pose is known"),
         (Stream(1, ("shoulder_pan",)), "no way back"),
         (KeepParking(way_to_rest(PARKING_TIMEOUT_S + 1.0)), "above the limit"),
+        (ChangePace(speed_factor=0.0), "the speed factor is 0"),
+        (KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, -0.011))), "(tolerance 0.01 rad)"),
         (ChangePace(speed_factor=0.05), f"not at its rest pose after {PARKING_TIMEOUT_S:g} s"),
     ],
 )
@@ -141,12 +147,23 @@ def test_an_arm_that_is_stopped_after_its_end_was_requested_is_not_parked(
     assert sinks(rig)
 
 
-def test_a_paused_motion_is_not_set_going_by_the_end(moving: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    moving.supervisor.handle(ChangePace(direction=PlaybackDirection.PAUSED))
-    moving.run(0.5)
+@pytest.mark.parametrize(
+    ("message", "ticks", "words"),
+    [
+        (ChangePace(direction=PlaybackDirection.PAUSED), 50, "the motion is paused"),
+        (ChangePace(speed_factor=0.0), 50, "the motion is paused"),
+        (Stop(), 1, "no way back"),
+        (Execute(2, smooth_move({"gripper": (0.0, 1.0)}, 2.0), gripping=True), 1, "no way back"),
+    ],
+)
+def test_a_motion_that_is_paused_stopped_or_a_grip_is_not_set_going_by_the_end(
+    moving: ArmRig, caplog: pytest.LogCaptureFixture, message: object, ticks: int, words: str
+) -> None:
+    moving.supervisor.handle(message)
+    moving.run(0.01 * ticks)
     lose_server(moving)
     assert sinks(moving)
-    assert "the motion is paused" in caplog.text
+    assert words in caplog.text
 
 
 def test_an_emergency_stop_ends_parking(rig: ArmRig) -> None:
@@ -174,9 +191,10 @@ def test_an_arm_at_its_rest_pose_is_relaxed_at_once(rig: ArmRig) -> None:
 
 def test_a_server_that_is_silent_at_rest_is_waited_for_before_the_arm_parks(rig: ArmRig) -> None:
     rig.alive = False
-    rig.run(4.5)
+    rig.run(4.99)
     assert rig.mode is Mode.HOLDING
-    rig.until_mode(Mode.MOVING)
+    rig.run(0.03)
+    assert rig.mode is Mode.MOVING
     rig.until_mode(Mode.RELAXED)
     assert distance_to_rest(rig) < SINK_RAD
 

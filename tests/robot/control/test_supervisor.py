@@ -3,11 +3,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from robot.control.cycle import ControlCycle
 from robot.control.pacing import PERIOD_S, Pacer, Scheduling
-from robot.control.supervisor import SILENCE_BURST, SILENCE_LINES_PER_S, arm_health, arm_state
+from robot.control.supervisor import arm_health, arm_state
 from robot.faults import FaultCode
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.registers import Register
@@ -15,12 +16,15 @@ from robot.messages import (
     END_LIMIT_S,
     ArmHealth,
     ArmState,
+    ChangePace,
     Command,
+    Commanded,
     EndState,
     Heartbeat,
     Mode,
     Order,
     Outcome,
+    Setpoint,
     Shutdown,
     Stop,
     Stream,
@@ -65,6 +69,7 @@ def test_a_state_has_the_time_of_its_tick_and_health_once_a_second_the_limits_in
     rig.sent.clear()
     rig.until(lambda: any(isinstance(each, ArmState) for each in rig.sent))
     assert rig.state.tick_s == rig.clock()
+    assert (rig.state.motion_id, rig.state.fraction, rig.state.remaining_s) == (None, 0.0, 0.0)
     rig.run(1.1)
     assert [joint.joint for joint in rig.health.joints] == list(NAMES)
     assert rig.health.limits_rad.shape == (6, 2)
@@ -93,11 +98,27 @@ def test_an_arm_is_checked_then_switched_on_or_stays_relaxed_until_it_may_be(emu
     assert rig.mode is Mode.HOLDING
 
 
-def test_an_arm_reports_a_missing_servo_and_comes_up_with_it(emulator: SteppedEmulator) -> None:
+def lines(caplog: pytest.LogCaptureFixture, words: str) -> list[str]:
+    return [line for line in caplog.messages if words in line]
+
+
+def test_an_arm_reports_a_missing_servo_and_comes_up_with_it(
+    emulator: SteppedEmulator, caplog: pytest.LogCaptureFixture
+) -> None:
     emulator.command(offline=[3])
     rig = ArmRig(emulator)
-    rig.until(lambda: any("elbow_flex (id 3)" in getattr(each, "reason", "") for each in rig.sent))
+    checked_s: list[float] = []
+    for _ in range(1200):
+        rig.tick()
+        if len(lines(caplog, "checking the servos: ")) > len(checked_s):
+            checked_s.append(rig.clock())
+    # Ever later, up to two seconds.
+    assert np.diff(np.diff(checked_s))[:5] == pytest.approx([0.2, 0.4, 0.8, 0.4, 0.0], abs=0.02)
+    assert "elbow_flex (id 3)" in rig.state.reason
     assert rig.mode is Mode.CONNECTED
+    rig.execute(PAN)
+    assert rig.outcomes == [Outcome.REFUSED]
+    assert rig.ended[0].message.startswith("the servos are still being checked: no answer from elbow_flex (id 3)")
     emulator.command(online=[3])
     rig.until_mode(Mode.HOLDING)
 
@@ -137,10 +158,43 @@ def test_a_second_order_is_refused_while_one_is_carried_out_except_an_emergency_
     enabling = rig.begin(Order.ENABLE)
     assert "enabling" in rig.answer(rig.begin(Order.RESET_FAULT)).message
     rig.run(0.3)
-    assert rig.order(Order.EMERGENCY_STOP).done
+    stop = rig.begin(Order.EMERGENCY_STOP)
     assert not rig.answer(enabling).done
+    assert "emergency stop" in rig.answer(rig.begin(Order.RELAX)).message
+    assert rig.wait(stop).done
     rig.run(0.3)
     assert rig.torque() == [0] * 6
+
+
+def test_an_arm_that_is_being_enabled_can_be_relaxed(start_rig: Start) -> None:
+    rig = start_rig(start_enabled=False)
+    enabling = rig.begin(Order.ENABLE)
+    rig.run(0.1)
+    assert rig.order(Order.RELAX).done
+    assert rig.answer(enabling).message == "given up for another order: relaxing"
+    assert (rig.mode, rig.torque()) == (Mode.RELAXED, [0] * 6)
+
+
+def test_setpoints_steer_a_stream_whose_goals_are_sent_at_every_tick_and_other_streams_are_not_steered(
+    rig: ArmRig,
+) -> None:
+    rig.supervisor.handle(Stream(1, ("shoulder_pan",)))
+    for _ in range(50):
+        rig.supervisor.handle(Setpoint(1, np.array([0.5])))
+        rig.supervisor.handle(Setpoint(2, np.array([-0.5])))
+        rig.tick()
+    goals = [each.position_rad[0] for each in rig.sent if isinstance(each, Commanded)]
+    assert len(goals) == 50
+    assert goals[-1] == pytest.approx(0.5 * 0.5, abs=0.05)
+
+
+def test_a_speed_limit_stays_when_the_hardware_was_lost(rig: ArmRig) -> None:
+    rig.supervisor.handle(ChangePace(speed_limit=0.5))
+    rig.supervisor.disconnect(LOST)
+    rig.connect()
+    rig.until_mode(Mode.HOLDING)
+    rig.run(0.1)
+    assert rig.state.pace.speed_limit == 0.5
 
 
 def test_an_emergency_stop_during_the_start_or_before_the_arm_is_there_keeps_it_off(emulator: SteppedEmulator) -> None:
@@ -210,10 +264,6 @@ def test_an_arm_waits_for_its_server_as_configured(start_rig: Start, settings: d
     assert rig.clock() - since_s == pytest.approx(waits_s, abs=0.3)
 
 
-def lines(caplog: pytest.LogCaptureFixture, words: str) -> list[str]:
-    return [line for line in caplog.messages if words in line]
-
-
 def silent_servers(rig: ArmRig, caplog: pytest.LogCaptureFixture, times: int) -> list[str]:
     """Lines of the log about a server that falls silent and comes back a number of times."""
     caplog.clear()
@@ -226,10 +276,10 @@ def silent_servers(rig: ArmRig, caplog: pytest.LogCaptureFixture, times: int) ->
 
 
 def test_log_lines_about_silences_of_the_server_are_limited(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    written = silent_servers(rig, caplog, SILENCE_BURST + 2)
-    assert len(written) == SILENCE_BURST
+    written = silent_servers(rig, caplog, 5)
+    assert len(written) == 3
     assert all(line.endswith("nothing moves") for line in written)
-    rig.clock.advance(1.0 / SILENCE_LINES_PER_S)
+    rig.clock.advance(600.0)
     rig.run(0.1)
     (later,) = silent_servers(rig, caplog, 1)
     assert later.endswith("nothing moves (2 more lines like this were left out before)")
@@ -307,6 +357,9 @@ def tick_by(rig: ArmRig, ticks: int, times: int) -> list[object]:
 def test_skipped_ticks_make_states_no_rarer_and_states_left_out_are_not_made_up_for(start_rig: Start) -> None:
     seen = tick_by(start_rig(hardware=SIMULATED[0], state_rate_hz=50.0), 2, 100)
     assert [sum(isinstance(each, kind) for each in seen) for kind in (ArmState, ArmHealth)] == [100, 2]
+    # Of the machine's time no more than 200 a second: here a tenth of the arm's.
+    seen = tick_by(start_rig(hardware=replace(SIMULATED[0], rate=10.0), state_rate_hz=100.0), 1, 100)
+    assert sum(isinstance(each, ArmState) for each in seen) == 20
     rig = at_rest_unseen(start_rig, hardware=SIMULATED[0], state_rate_hz=50.0)
     tick_by(rig, 5, 20)
     assert sum(isinstance(each, ArmState) for each in tick_by(rig, 1, 20)) in (10, 11)
@@ -328,8 +381,10 @@ def test_at_its_end_the_arm_is_left_as_configured(start_rig: Start, end: EndStat
     rig.execute(PAN)
     rig.run(0.3)
     rig.supervisor.handle(Shutdown())
+    rig.execute(smooth_move({"gripper": (0.0, 0.5)}, 1.0), motion_id=2)
+    assert rig.ended[0].message == "the arm process is ending"
     rig.until(lambda: rig.supervisor.finished())
-    assert rig.outcomes == [Outcome.STOPPED]
+    assert rig.outcomes == [Outcome.REFUSED, Outcome.STOPPED]
     assert rig.torque() == torque
 
 
@@ -371,6 +426,20 @@ def test_an_arm_late_in_its_end_state_reports_torque_or_where_it_may_be_on(
     end_starved(rig, END_LIMIT_S)
     _, line = lines(caplog, "end state")
     assert "torque may be on at every joint: " in line
+
+
+def test_an_arm_that_is_not_relaxed_within_5_s_of_ticks_is_left(
+    start_rig: Start, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = start_rig(on_exit=EndState.RELAX)
+    rig.supervisor.handle(Shutdown())
+    for _ in range(501):
+        assert not rig.supervisor.finished()
+        # No sequence gets a step.
+        tick_by(rig, 1, 1)
+    assert rig.supervisor.finished()
+    (line,) = lines(caplog, "end state")
+    assert "(relax) after 5 s, in which it had 501 ticks; the process ends: torque is on at " in line
 
 
 @pytest.mark.parametrize("end", [EndState.RELAX, EndState.HOLD])

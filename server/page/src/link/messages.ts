@@ -144,13 +144,19 @@ export function twistStamped(frame_id: string, shares: TipVelocity, [linear, ang
     linear: vector(linear, shares.x, shares.y, shares.z),
     angular: vector(angular, shares.roll, shares.pitch, shares.yaw),
   };
-  return { header: { ...HEADER, frame_id }, twist };
+  return { header: { stamp: now(), frame_id }, twist };
+}
+
+/** Return the time of this machine, by which the server sees how long a command was under way. */
+function now(): Time {
+  const ms = Date.now();
+  return { sec: Math.floor(ms / 1000), nanosec: (ms % 1000) * 1e6 };
 }
 
 /** Build control_msgs/JointJog of fractions of the joint speed, -1 to 1. */
 export function jointJog(velocities: JointValues): object {
   return {
-    header: HEADER,
+    header: { ...HEADER, stamp: now() },
     joint_names: Object.keys(velocities),
     displacements: [],
     velocities: Object.values(velocities),

@@ -57,6 +57,7 @@ test.each([
   ["cannot reach (0.9, 0, 0.3) m: 54.0 cm away", "cannot reach (900, 0, 300) mm: 540 mm away", "cannot reach (0.9, 0, 0.3) m: 0.54 m away"],
   ["goes to 1.92 rad, outside -1.5708 to 1.5708 rad", "goes to 110°, outside -90 to 90°", "goes to 1.92 rad, outside -1.571 to 1.571 rad"],
   ["turns at 3.10 rad/s, 2 s after servo 3 met link_1 m", "turns at 3.10 rad/s, 2 s after servo 3 met link_1 m", "turns at 3.10 rad/s, 2 s after servo 3 met link_1 m"],
+  ["link_1 at joint_1 -1.571, wrist_2 0, a3 0.500 rad", "link_1 at joint_1 -90, wrist_2 0, a3 28.6°", "link_1 at joint_1 -1.571, wrist_2 0, a3 0.5 rad"],
   ["in contact by 1e-3 m", "in contact by 1 mm", "in contact by 0.001 m"],
 ])("%s in the chosen units", (sentence, degrees, radians) => {
   expect(inUnits(sentence, "deg")).toBe(degrees);

@@ -39,8 +39,8 @@ export function distanceText(distance_m: number, system: UnitSystem): string {
   return ((millimetres / 1000) * LENGTHS[system].scale).toFixed(system === "deg" ? 0 : 3) + LENGTHS[system].suffix;
 }
 
-/** Numbers with their unit in a sentence: one, a point in parentheses, or a range; not a speed, as rad/s. */
-const MEASURES = /(?<![\w.])\(?-?\d+(?:\.\d+)?(?:e-?\d+)?(?:(?:, | to )-?\d+(?:\.\d+)?(?:e-?\d+)?)*\)? (?:cm|mm|m|rad)(?![\w/])/g;
+/** Numbers with their unit in a sentence: one, a point in parentheses, a range, or some joints; not a speed, as rad/s. */
+const MEASURES = /(?<![\w.])\(?-?\d+(?:\.\d+)?(?:e-?\d+)?(?:(?:, (?:\w+ )?| to )-?\d+(?:\.\d+)?(?:e-?\d+)?)*\)? (?:cm|mm|m|rad)(?![\w/])/g;
 const METRES: Record<string, number> = { m: 1, cm: 0.01, mm: 0.001 };
 
 /** Return a sentence of the server, which measures in radians, metres and centimetres, in the chosen units. */
@@ -49,7 +49,7 @@ export function inUnits(sentence: string, system: UnitSystem): string {
     const name = measure.slice(measure.lastIndexOf(" ") + 1);
     const { scale, suffix, digits } = (name === "rad" ? ANGLES : LENGTHS)[system];
     const converted = (number: string): string => String(Number((Number(number) * (METRES[name] ?? 1) * scale).toFixed(digits)));
-    return measure.slice(0, -name.length - 1).replace(/-?\d+(?:\.\d+)?(?:e-?\d+)?/g, converted) + suffix;
+    return measure.slice(0, -name.length - 1).replace(/(?<!\w)-?\d+(?:\.\d+)?(?:e-?\d+)?/g, converted) + suffix;
   });
 }
 

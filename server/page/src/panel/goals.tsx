@@ -4,6 +4,7 @@ import { useEffect, useState } from "preact/hooks";
 import { fetchGoalRecord, type GoalRecord } from "../link/goal-history";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import { goalKind, readAsked, type GoalEntry } from "../logic/goal-history";
+import { inUnits } from "../logic/numbers";
 import { NO_PLAN, type ActiveGoal, type GoalState, type State } from "../state/state";
 import { t, type TextKey } from "../texts/texts";
 import { saveFile } from "./files";
@@ -100,7 +101,7 @@ function Facts({ goal, record }: { goal: GoalState; record: GoalRecord | string 
         {known && <><dt>{t("goals.asked")}</dt><dd>{askedText(known.asked, store.state) ?? ""}</dd></>}
         {known && <details><summary>{t("goals.asked.raw")}</summary><pre>{known.asked}</pre></details>}
         {known && <><dt>{t("goals.found")}</dt><dd>{known.summary || t("goals.found.nothing")}</dd></>}
-        <dt>{t("goals.answer")}</dt><dd>{`${goal.message} (${errorCodeName(goal.code ?? 0)})`}</dd>
+        <dt>{t("goals.answer")}</dt><dd>{`${inUnits(goal.message, store.state.settings.units)} (${errorCodeName(goal.code ?? 0)})`}</dd>
         {suggestion && <><dt>{t("goals.works")}</dt><dd>{askedText(JSON.stringify(suggestion.msg), store.state) ?? suggestion.topic}</dd></>}
       </dl>
       <div class="buttons">
@@ -133,7 +134,7 @@ function outcomeText(goal: GoalState): string {
   return outcome === "open" ? stateText(goal.state) : t(`goals.${outcome}`);
 }
 
-function askedText(json: string, state: State): string | null {
+export function askedText(json: string, state: State): string | null {
   const asked = readAsked(json, state);
   if (asked === null) return null;
   if (asked.kind === "named") return t("goals.asked.named", { name: asked.name });

@@ -4,6 +4,7 @@ import { inUnits } from "../logic/numbers";
 import { errorCodeName, PREEMPTED, SUCCESS } from "../link/messages";
 import type { GoalState, Notice, State } from "../state/state";
 import { capitalized, t, type TextKey } from "../texts/texts";
+import { askedText } from "./goals";
 import { Button, Gate, SignButton, usePage } from "./ui";
 
 export interface Pill {
@@ -87,7 +88,7 @@ export function StatusBar(): JSX.Element {
         <span>{text}</span> <small class="code" data-testid="message-code">{code}</small>
       </p>
       <Gate to="drive">
-        <Button testid="suggestion" hidden={suggestion === null} press={() => suggestion && commands.publish(suggestion.topic, suggestion.type, suggestion.msg)}>{t("bar.suggestion", { place: suggestionText(goal) })}</Button>
+        <Button testid="suggestion" title={suggestion ? (askedText(JSON.stringify(suggestion.msg), state) ?? "") : ""} hidden={suggestion === null} press={() => suggestion && commands.publish(suggestion.topic, suggestion.type, suggestion.msg)}>{t("goals.instead")}</Button>
         <Button class="primary" testid="reset-fault" title={t("bar.reset_fault.title")} hidden={arm.mode !== "fault" || !connected} press={() => void commands.trigger("/arm/reset_fault")}>{t("bar.reset_fault")}</Button>
         <Button class="primary" testid="hold" title={t("bar.hold.title")} hidden={arm.mode !== "relaxed" || !connected} press={() => void commands.trigger("/arm/enable")}>{t("bar.hold")}</Button>
       </Gate>
@@ -107,21 +108,6 @@ export function ConnectionPill(): JSX.Element {
       {connected ? latency : refused ? t("link.refused") : t("link.reconnecting")}
     </span>
   );
-}
-
-/** Message of a suggested goal: std_msgs/String, geometry_msgs/PoseStamped or sensor_msgs/JointState. */
-interface SuggestedMessage {
-  data?: string;
-  name?: string[];
-  pose?: { position: Record<string, number> };
-}
-
-function suggestionText({ suggestion }: GoalState): string {
-  const message = suggestion?.msg as SuggestedMessage | undefined;
-  if (message?.data !== undefined) return `“${message.data}”`;
-  const position = message?.pose?.position;
-  if (position) return `${["x", "y", "z"].map((axis) => (position[axis] ?? 0).toFixed(3)).join(", ")} m`;
-  return message?.name ? message.name.join(", ") : "";
 }
 
 /** Notices, which stay until their cause is gone or the user dismisses them. */

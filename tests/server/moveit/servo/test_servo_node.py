@@ -250,6 +250,40 @@ def test_a_client_shortens_the_timeout_of_its_own_commands_alone(gate_rig: GateR
     assert (gate.timeout_s(ONE), gate.timeout_s(OTHER)) == (TIMEOUT_S, TIMEOUT_S)
 
 
+# The clients' clocks are ahead, and behind.
+@pytest.mark.parametrize("ahead_s", [1000, -1000])
+def test_a_command_that_has_waited_on_its_way_has_expired_by_the_clock_of_its_client(
+    gate_rig: GateRig, ahead_s: int
+) -> None:
+    gate = gate_rig.gate
+
+    def has_expired(sent_s: int, at_s: float, client: Node = ONE) -> bool:
+        return gate.has_expired(client, {"sec": sent_s + ahead_s, "nanosec": 0}, at_s)
+
+    gate.press(ONE, 0.08, {ONE})
+    sent_at_s = [(2000, 2000.1), (2001, 2001.0), (2002, 2002.07), (2003, 2003.09), (2004, 2004.0)]
+    assert [has_expired(*each) for each in sent_at_s] == [False, False, False, True, False]
+    # From a slower network, after another press; and of clients that say nothing of presses or times.
+    gate.press(ONE, 0.08, {ONE})
+    assert not has_expired(2010, 2011.0)
+    assert not has_expired(2012, 2019.0, OTHER)
+    assert not gate.has_expired(ONE, {"sec": 0, "nanosec": 0}, 2020.0)
+
+
+@pytest.mark.stepped_time
+async def test_a_command_that_has_expired_on_its_way_moves_nothing_and_a_halt_halts_however_late(rig: Rig) -> None:
+    rig.graph.advertise(rig.one, servo_node.TIMEOUT_TOPIC, "std_msgs/Float64")
+    await rig.say(servo_node.TIMEOUT_TOPIC, {"data": 0.08})
+    late, prompt = ({"header": {"stamp": {"sec": sec, "nanosec": 0}}} for sec in (1000, 2000))
+    await rig.say(servo_node.TWIST_TOPIC, NORTH | prompt)
+    await rig.say(servo_node.TWIST_TOPIC, late)
+    assert not rig.arm.setpoints[-1].velocity_rad_s.any()
+    await asyncio.sleep(1.0)
+    await rig.say(servo_node.TWIST_TOPIC, NORTH | late)
+    assert "expired on its way" in rig.heard[-1]["message"]
+    assert len(rig.arm.streams) == 1
+
+
 @pytest.mark.stepped_time
 async def test_the_timeout_of_a_client_counts_for_its_commands(rig: Rig) -> None:
     for client in (rig.one, rig.other):

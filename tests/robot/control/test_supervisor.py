@@ -407,6 +407,13 @@ def test_at_its_end_the_arm_is_left_as_configured(start_rig: Start, end: EndStat
     assert rig.torque() == torque
 
 
+def test_servos_that_hold_are_relaxed_also_where_the_end_comes_before_they_are_checked(start_rig: Start) -> None:
+    following = ArmRig(start_rig().emulator, on_exit=EndState.RELAX)
+    following.supervisor.handle(Shutdown())
+    following.until(following.supervisor.finished)
+    assert following.torque() == [0] * 6
+
+
 def end_starved(rig: ArmRig, tick_s: float) -> None:
     """Bring the arm to its end on a machine on which each tick, and a step of a sequence, takes so long."""
     rig.supervisor.handle(Shutdown())

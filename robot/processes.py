@@ -208,6 +208,9 @@ class StartedCopy:
     adopted: bool = False  # True once a Child owns it
 
 
+ENDED_IN_ORDER = "exit code 0"
+
+
 class Child(asyncio.Protocol):
     """Running child, and the server's end of its channel; messages are delivered as they are read, without a task."""
 
@@ -245,7 +248,7 @@ class Child(asyncio.Protocol):
         code = self._process.poll()
         if code is None:
             return "it still runs"
-        return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        return ENDED_IN_ORDER if code == 0 else f"exit code {code}" if code > 0 else signal.Signals(-code).name
 
     async def connect(self) -> None:
         """Begin to read the child's messages; a child that cannot be read is killed."""

@@ -121,8 +121,8 @@ class VelocityTracking:
 
     @property
     def at_rest(self) -> bool:
-        """True when nothing moves and nothing is to move."""
-        return not self._target_rad_s.any() and self._since_s >= self._profile.duration
+        """True when no joint moves: each has come to rest, or to the limit ahead of it."""
+        return self._since_s >= self._profile.duration
 
     def set_target(self, velocity_rad_s: Vector) -> None:
         """Set finite target velocities, shape (joints,) [rad/s], clamped to the velocity limits."""

@@ -164,6 +164,13 @@ def test_a_tick_is_every_hundredth_second_or_skipped_at_rest_and_at_once_for_a_m
     assert np.diff(ticked_s[over + 26 :]) == pytest.approx(0.05)
 
 
+def test_sequences_take_all_steps_between_two_ticks_that_there_is_time_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    channel = SteppedChannel(monkeypatch, ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), (2.0, Shutdown()))
+    ticks_of(channel, monkeypatch)
+    # With one step a tick it takes 1.7 s.
+    assert min(at_s for at_s, state in channel.kept(ArmState) if state.mode is Mode.HOLDING) < 0.7
+
+
 def test_when_every_tick_is_late_sequences_go_on_and_a_simulated_arm_is_slower(monkeypatch: pytest.MonkeyPatch) -> None:
     config = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION), state_rate_hz=100.0)
     channel = SteppedChannel(monkeypatch, config, (20.0, Shutdown()))

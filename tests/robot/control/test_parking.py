@@ -110,7 +110,7 @@ def test_a_way_that_begins_elsewhere_is_not_played(rig: ArmRig, caplog: pytest.L
     [
         (KeepParking(None), "no way to the rest pose is known"),
         (Stream(1, ("shoulder_pan",)), "no way back"),
-        (KeepParking(way_to_rest(PARKING_TIMEOUT_S + 0.1)), "would take 15.1 s, above the limit"),
+        (KeepParking(way_to_rest(15.1)), "would take 15.1 s, above the limit"),
         (KeepParking(way_to_rest(0.3)), "rad/s, above its limit of"),
         (ChangePace(speed_factor=0.0), "the speed factor is 0"),
         (KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, -0.011))), "(tolerance 0.01 rad)"),

@@ -75,8 +75,8 @@ class SteppedChannel:
         if self.messages and self.messages[0][0] <= until_s:
             until_s = max(self.now_s, self.messages[0][0])
         self.now_s, self.looks = until_s, self.looks + 1
-        if self.now_s > 60.0 or self.looks > 10_000:
-            raise TimeoutError("the loop never ends")
+        if timeout_s < 0.0 or self.now_s > 60.0 or self.looks > 10_000:
+            raise TimeoutError("the loop never ends, or waits for less than no time")
         due = [message for at_s, message in self.messages if at_s <= until_s]
         del self.messages[: len(due)]
         return due

@@ -95,7 +95,7 @@ class Transport(asyncio.Protocol):
         self._reading_paused = False
         # The next turn is to come by itself.
         self._turn_waits = False
-        # Stop epoch in which what is not handed over yet has arrived.
+        # Stop epoch in which the bytes arrived that wait to be handed over.
         self._epoch = STOP_EPOCHS.present
         self._at_eof = False
         # Nothing more is read: the client has sent its last, or the connection ends.
@@ -256,7 +256,7 @@ class Transport(asyncio.Protocol):
                     before = STOP_EPOCHS.present
                     self._client.receive_frame(frame, self._epoch)
                     if self._epoch == before:
-                        # What a client sends behind its own stop is later.
+                        # Frames behind the client's own stop are later.
                         self._epoch = STOP_EPOCHS.present
                 if time.monotonic() >= ends_s:
                     self._take_turn_later()

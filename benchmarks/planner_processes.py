@@ -40,7 +40,6 @@ STATE = StateQuestion("arm", AT_ZERO)
 HANG = "hang"
 
 RACES = 50  # in each scene
-
 TICK_S = 0.001
 
 

@@ -385,9 +385,12 @@ class Template:
         self._reserve, self._timeout_s = reserve, timeout_s
         self._turns = asyncio.Lock()
         self._running: RunningTemplate | None = None
+        self._closed = False
 
     async def start(self) -> RunningTemplate:
-        """Start the child, which loads; OSError: it cannot be started."""
+        """Start the child, which loads; OSError: it cannot be started, or was closed."""
+        if self._closed:
+            raise OSError("nothing is copied any more")
         with self._reserve.lent():
             running = self._running = RunningTemplate(StartedChild(self._module))
         await running.child.connect()
@@ -403,13 +406,16 @@ class Template:
             try:
                 async with asyncio.timeout(self._timeout_s):
                     return await running.copy(self._reserve)
-            except BaseException:
+            except BaseException as error:
                 # What it may still answer would be taken for the next answer.
-                await self.close()
+                await running.child.kill()
+                if isinstance(error, TimeoutError):
+                    raise OSError(f"the process that is copied did not answer within {self._timeout_s:g} s") from error
                 raise
 
     async def close(self) -> None:
-        """End the child, and with it every copy."""
+        """End the child for good, and with it every copy."""
+        self._closed = True
         if self._running is not None:
             await self._running.child.kill()
 

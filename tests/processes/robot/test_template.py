@@ -109,15 +109,18 @@ async def test_a_template_ends_with_its_server_and_a_copy_is_in_a_session_of_its
     parent = psutil.Process(made.child.pid).ppid()
     await made.answer("ready?")
     assert os.getsid(made.child.pid) == made.child.pid
+    waiting = asyncio.gather(template.copy(), template.copy(), return_exceptions=True)
     await template.close()
     await until(lambda: not runs(parent) and not runs(made.child.pid))
+    # Nor is there another for what still waits for a copy.
+    assert [type(error) for error in await waiting] == [OSError, OSError]
 
 
 @pytest.mark.parametrize(
-    ("first", "timeout_s", "words"), [("hangs", 0.1, None), ("ends", TIMEOUT_S, r"ended \(exit code 3\)")]
+    ("first", "timeout_s", "words"), [("hangs", 0.1, "within 0.1 s"), ("ends", TIMEOUT_S, r"ended \(exit code 3\)")]
 )
 async def test_of_a_template_that_does_not_load_there_is_no_copy(
-    farm: Farm, first: str, timeout_s: float, words: str | None
+    farm: Farm, first: str, timeout_s: float, words: str
 ) -> None:
     template = farm.template(first, timeout_s)
     for _ in range(2):

@@ -434,10 +434,16 @@ def test_a_speed_limit_that_is_lowered_slows_the_motion_in_progress(rig: Rig) ->
     assert rig.largest_step()[0] <= LIMIT * BOUNDS.max_velocity[0] * PERIOD_S * ROUNDING
 
 
-def test_no_joint_of_a_stream_is_faster_than_the_speed_limit(rig: Rig) -> None:
-    rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
+@pytest.mark.parametrize("lowered_at", [0, 30])
+def test_no_joint_of_a_stream_is_faster_than_the_speed_limit_also_when_it_is_lowered(rig: Rig, lowered_at: int) -> None:
+    if not lowered_at:
+        rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
     rig.controller.stream(Stream(1, ("shoulder_pan", "wrist_roll")))
-    for _ in range(60):
+    for tick in range(120):
+        if tick == lowered_at:
+            rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
+        if tick == 60:
+            rig.goals = rig.goals[-1 if lowered_at else 0 :]
         rig.controller.steer(Setpoint(1, np.array([1.5, -1.0])))
         rig.tick()
     pan, roll = (rig.largest_step()[joint] / BOUNDS.max_velocity[joint] / PERIOD_S for joint in (0, 4))

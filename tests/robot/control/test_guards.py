@@ -209,7 +209,9 @@ def test_one_tick_in_which_all_is_well_makes_a_condition_begin_anew(ill: Measure
     [
         ({"temperature_c": 54.9, "age_s": 0.1}, []),
         ({"temperature_c": 55.0}, [(ServoAlert.WARM, "warm: 55 degC")]),
+        ({"temperature_c": 59.4}, [(ServoAlert.WARM, "warm: 59 degC")]),
         ({"temperature_c": 60.0}, [(ServoAlert.SLOWED, "motions run at half speed at 60 degC")]),
+        ({"temperature_c": 64.0}, [(ServoAlert.SLOWED, "motions run at half speed at 64 degC")]),
         ({"age_s": 0.5}, [(ServoAlert.NO_ANSWER, "no answer for 0.5 s")]),
         (
             {"status": int(StatusFlag.OVERLOAD | StatusFlag.VOLTAGE)},

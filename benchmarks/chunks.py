@@ -20,8 +20,8 @@ CHUNKS, POINTS, HZ, EVERY_S = 200, 50, 30.0, 0.1
 SWING_RAD, SWINGS, FAST_RAD_S = 0.8, 1.5, 0.9
 # A tick is late when its reading comes so long after the one before: half a period more than one [s].
 LATE_S = 0.015
-# Chunks that move an arm at rest, times of a motion and of coming to rest [s], and the least change of a goal [rad].
-CHANGES, MOVES_S, RESTS_S, CHANGED_RAD = 100, 0.3, 0.6, 1e-7
+# Chunks that move an arm at rest, time of coming to rest [s], and the least change of a goal [rad].
+CHANGES, RESTS_S, CHANGED_RAD = 100, 0.6, 1e-7
 CAMERA = ROOT / ".venv/bin/armbridge", "camera", "test", "--width", "640", "--fps", "30", "--connect"
 # A state for each tick.
 SETTINGS = {**FAST, "ARMBRIDGE_ARM__JOINT_STATE_RATE_HZ": "100"}
@@ -104,8 +104,7 @@ async def _stream(client: ArmClient, start_rad: dict[str, float]) -> tuple[list[
         at_s = _stamp_s(state) - began_s
         speed = SWING_RAD * SWINGS * math.cos(SWINGS * at_s)
         if at_s > 1.0 and abs(speed) > FAST_RAD_S:
-            behind = _targets(start_rad, at_s)[0] - state["reference"]["positions"][0]
-            lags_s.append(abs(behind / speed))
+            lags_s.append(abs((_targets(start_rad, at_s)[0] - _pan_rad(state)) / speed))
     return latencies_s, lags_s
 
 
@@ -115,22 +114,24 @@ async def _changes(client: ArmClient, start_rad: dict[str, float]) -> list[float
     others = [start_rad[name] for name in JOINTS[1:]]
     await asyncio.sleep(POINTS / HZ)
     for number in range(CHANGES):
-        await _send(client, f"rest {number}", [[_goal_rad(client), *others]] * POINTS)
+        await _send(client, f"rest {number}", [[_pan_rad(client.topics[STATE][-1]), *others]] * POINTS)
         await asyncio.sleep(RESTS_S)
-        held_rad = _goal_rad(client)
+        held_rad = _pan_rad(client.topics[STATE][-1])
         step = 0.1 if number % 2 == 0 else -0.1
         ramp = [[held_rad + step * index / POINTS, *others] for index in range(1, POINTS + 1)]
         sent_s, _ = await _send(client, f"ramp {number}", ramp)
-        await asyncio.sleep(MOVES_S)
-        recent = [state for state in client.topics[STATE] if _stamp_s(state) > sent_s]
-        moved = (each for each in recent if abs(each["reference"]["positions"][0] - held_rad) > CHANGED_RAD)
-        found_s.append(_stamp_s(next(moved)) - sent_s)
+        moved_s: list[float] = []
+        async with asyncio.timeout(30.0):
+            while not moved_s:
+                await asyncio.sleep(0.05)
+                recent = [state for state in client.topics[STATE] if _stamp_s(state) > sent_s]
+                moved_s = [_stamp_s(state) for state in recent if abs(_pan_rad(state) - held_rad) > CHANGED_RAD]
+        found_s.append(moved_s[0] - sent_s)
     return found_s
 
 
-def _goal_rad(client: ArmClient) -> float:
-    goal_rad: float = client.topics[STATE][-1]["reference"]["positions"][0]
-    return goal_rad
+def _pan_rad(state: dict[str, Any]) -> float:
+    return float(state["reference"]["positions"][0])
 
 
 def _stamp_s(state: dict[str, Any]) -> float:

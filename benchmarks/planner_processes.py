@@ -20,12 +20,15 @@ from planners import pool as planner_pool
 from planners import worker
 from planners.budget import never
 from planners.files import problem_file
+from planners.interface import LOAD_TIMEOUT_S
+from planners.messages import LoadRobot
 from planners.pipeline import Planner
 from planners.pool import MEMORY_LIMIT_BYTES, PlannerPool, WorkerProcess
 from planners.problem import Answer, Plan, PlanningFailure, PlanningProblem, Request, StateAnswer, StateQuestion
 from planners.scene import Box, Pose, Scene, SceneObject
 from planners.worker import HARD_AFTER_S
 from robot.description.robot_folder import built_in
+from robot.processes import DescriptorReserve, Template
 
 STARTS = 7
 ROUND_TRIPS = 500
@@ -37,8 +40,6 @@ STATE = StateQuestion("arm", AT_ZERO)
 HANG = "hang"
 
 RACES = 50  # in each scene
-
-
 TICK_S = 0.001
 
 
@@ -64,13 +65,18 @@ def run() -> None:
         uvloop.run(measure())
 
 
-async def _worker() -> WorkerProcess:
+LOAD = LoadRobot(built_in("so101").model, MEMORY_LIMIT_BYTES)
+
+
+def _template() -> Template:
+    return Template(planner_pool.WORKER_MODULE, LOAD, DescriptorReserve(), LOAD_TIMEOUT_S)
+
+
+async def _worker(template: Template) -> WorkerProcess:
     loaded = asyncio.Event()
-    worker = WorkerProcess(
-        built_in("so101").model, MEMORY_LIMIT_BYTES, lambda _worker, _refusal: loaded.set(), lambda _worker: None
-    )
+    worker = WorkerProcess(await template.copy(), LOAD, lambda _worker, _refusal: loaded.set(), lambda _worker: None)
     await worker.start()
-    await asyncio.wait_for(loaded.wait(), 30.0)
+    await asyncio.wait_for(loaded.wait(), LOAD_TIMEOUT_S)
     return worker
 
 
@@ -78,23 +84,24 @@ async def _starts() -> None:
     rows = []
     for _ in range(STARTS):
         started_s = time.monotonic()
-        worker = await _worker()
-        start_s = time.monotonic() - started_s
+        template = _template()
+        await (await _worker(template)).kill()
+        first_s, started_s = time.monotonic() - started_s, time.monotonic()
+        worker = await _worker(template)
+        next_s = time.monotonic() - started_s
         fresh = _memory_mb(worker.pid)
         await worker.ask(EASY, Scene())
-        rows.append((start_s, fresh, _memory_mb(worker.pid)))
-        await worker.kill()
-    fresh, planned = rows[-1][1:]
+        planned = _memory_mb(worker.pid)
+        rows.append((first_s, next_s))
+        await template.close()
     print_table(
-        "A planner process: from its start to ready [s], and its memory [MB]",
-        ["starts", "median", "max", "resident", "of it its own", "after a plan"],
+        "A planner process: from its start to ready, the first and the next [s], and its memory [MB]",
+        ["starts", "median", "max", "next", "max", "resident", "of it its own", "after a plan"],
         [
             [
                 str(STARTS),
-                *percentiles((row[0] for row in rows), 50, 100, scale=1.0),
-                f"{fresh[0]:.0f}",
-                f"{fresh[1]:.0f}",
-                f"{planned[0]:.0f}",
+                *(figure for times_s in zip(*rows, strict=True) for figure in percentiles(times_s, 50, 100, scale=1.0)),
+                *(f"{mb:.0f}" for mb in (*fresh, planned[0])),
             ]
         ],
     )
@@ -107,11 +114,12 @@ def _memory_mb(pid: int) -> tuple[float, float]:
 
 
 async def _free_again() -> None:
-    worker = await _worker()
+    template = _template()
+    worker = await _worker(template)
     round_trips_s = [await _timed(worker.ask(STATE, Scene())) for _ in range(ROUND_TRIPS)]
     rng = random.Random(SEED)
     cancels_s = [await _cancel(worker, rng.uniform(0.002, 0.1)) for _ in range(CANCELS)]
-    await worker.kill()
+    await template.close()
     kills_s = await _kills()
     print_table(
         "Round trip, and from a cancel to a worker that takes requests [ms]",
@@ -164,7 +172,8 @@ async def _kills() -> list[float]:
 
 
 async def _scenes() -> None:
-    worker = await _worker()
+    template = _template()
+    worker = await _worker(template)
     rows = []
     for version, count in enumerate(SCENE_SIZES, start=1):
         scene = Scene(version, _boxes(count))
@@ -175,7 +184,7 @@ async def _scenes() -> None:
         again_s = await _timed(worker.ask(STATE, scene))
         ticking.cancel()
         rows.append([str(count), *percentiles([first_s, again_s], 100, 0), *percentiles(ticker.cpu_s, 100)])
-    await worker.kill()
+    await template.close()
     print_table(
         "A scene goes to a worker once [ms]",
         ["boxes", "first state check", "next", "longest hold of the server's event loop"],

@@ -19,7 +19,7 @@ from robot.description.model import RobotModel
 
 @dataclass(frozen=True)
 class LoadRobot:
-    """First message to a worker: the arm to plan for, and the memory that the worker may use for data [bytes]."""
+    """First message to a worker and its template: the arm to plan for, and the memory that each may use [bytes]."""
 
     robot: RobotModel
     memory_limit_bytes: int

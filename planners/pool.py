@@ -43,7 +43,7 @@ from planners.problem import (
 from planners.race import Race
 from planners.scene import Scene
 from robot.description.model import RobotModel
-from robot.processes import Child, DescriptorReserve, StartedChild
+from robot.processes import ENDING_TIMEOUT_S, Child, DescriptorReserve, StartedCopy, Template
 
 log = logging.getLogger("armbridge.planners")
 
@@ -55,8 +55,6 @@ NICENESS = 5
 # Cancelling takes about a millisecond; past this, native code hangs. Among 12 other programs a worker waited for a core
 # for 50 ms at most.
 CANCEL_TIMEOUT_S = 1.0
-
-ENDING_TIMEOUT_S = 0.1  # a process whose socket is closed is about to end; its exit code comes a moment later
 
 # Checks take milliseconds and have no allowed time of their own. An arm that moves waits for CHECK_TIME_S at most. A
 # question about a state may wait: the first one among 600 boxes took 2 s beside a dozen busy processes.
@@ -73,6 +71,8 @@ OVERTIME_S = 1.0
 
 # A mesh scene of the arm's full shapes and 10 000 objects fits; a machine with 4 GB is left room for the rest.
 MEMORY_LIMIT_BYTES = 1_024_000_000
+
+TEMPLATE_TIMEOUT_S = 4.0 * LOAD_TIMEOUT_S  # a machine is starved; a killed load would begin again
 
 # Failed starts in a row after which there is a pause before each further one.
 MAX_FAILED_STARTS = 3
@@ -93,20 +93,18 @@ class WorkerProcess:
 
     def __init__(
         self,
-        robot: RobotModel,
-        memory_limit_bytes: int,
+        started: StartedCopy,
+        load: LoadRobot,
         on_loaded: Callable[[WorkerProcess, str | None], None],
         on_exit: Callable[[WorkerProcess], None],
         *,
         urgent: bool = False,
     ) -> None:
         self.urgent = urgent
-        self._load = LoadRobot(robot, memory_limit_bytes)
+        self._load = load
         self._on_loaded = on_loaded
         self._on_exit = on_exit
-        self._child = Child(
-            StartedChild(WORKER_MODULE), self._received, self._exited, niceness=0 if urgent else NICENESS
-        )
+        self._child = Child(started, self._received, self._exited, niceness=0 if urgent else NICENESS)
         self._ending = False
         self._number = 0
         self.loaded = False
@@ -116,7 +114,7 @@ class WorkerProcess:
         self._scenes = SceneSender(self._child.send, functools.partial(asyncio.sleep, 0))
 
     async def start(self) -> None:
-        """Have the process load the robot; it does so while others run."""
+        """Give the process its robot."""
         await self._child.connect()
         self._child.send(self._load)
 
@@ -232,9 +230,8 @@ class PlannerPool(Planners):
         racing: bool = True,
     ) -> None:
         super().__init__(active, questions, max_waiting)
-        self._robot = robot
         self._size = active + questions
-        self._memory_limit_bytes = memory_limit_bytes
+        self._load = LoadRobot(robot, memory_limit_bytes)
         self._workers: list[WorkerProcess] = []
         self._idle: list[WorkerProcess] = []
         self._racing = racing
@@ -247,13 +244,12 @@ class PlannerPool(Planners):
         self._robot_refused = False
         self._tasks: set[asyncio.Task[None]] = set()
         self._reserve = DescriptorReserve()
+        self._template = Template(WORKER_MODULE, self._load, self._reserve, TEMPLATE_TIMEOUT_S)
 
     async def start(self) -> None:
-        """Start the processes, which load in the background."""
-        # The spare starts once another has loaded, which has the cores for itself as long as nothing else can plan.
-        for _ in range(self._size - 1):
-            await self._spawn(urgent=False)
-        self._in_background(self._spawn_spare())
+        """Start the process that the workers are copies of, which loads in the background."""
+        await self._template.start()
+        self._in_background(self._spawn_all())
 
     async def wait_until_loaded(self) -> str | None:
         """Wait for the first worker that takes requests; see :class:`Planners`."""
@@ -267,6 +263,7 @@ class PlannerPool(Planners):
         self._wake_waiting()
         self._reserve.close()
         await asyncio.gather(*(worker.kill() for worker in self._workers))
+        await self._template.close()
         if self._tasks:
             await asyncio.wait(self._tasks, timeout=CLOSE_TIMEOUT_S)
 
@@ -380,9 +377,7 @@ class PlannerPool(Planners):
     # Private methods for processes: each that ends is replaced.
 
     async def _spawn(self, *, urgent: bool) -> None:
-        with self._reserve.lent():
-            limit_bytes = self._memory_limit_bytes
-            worker = WorkerProcess(self._robot, limit_bytes, self._on_loaded, self._on_exit, urgent=urgent)
+        worker = WorkerProcess(await self._template.copy(), self._load, self._on_loaded, self._on_exit, urgent=urgent)
         self._workers.append(worker)
         try:
             await worker.start()
@@ -415,9 +410,12 @@ class PlannerPool(Planners):
             self._count_failed_start("ended while starting")
         self._in_background(self._replace(worker))
 
-    async def _spawn_spare(self) -> None:
+    async def _spawn_all(self) -> None:
+        await self._spawn_one(urgent=False)
+        # Where the first refuses the robot, so would the others.
         if await self.wait_until_loaded() is None:
-            await self._spawn_one(urgent=True)
+            for number in range(1, self._size):
+                await self._spawn_one(urgent=number == self._size - 1)
 
     async def _replace(self, worker: WorkerProcess) -> None:
         await worker.kill()

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
+import contextlib
 import faulthandler
 import logging
 import os
 import resource
 import select
-import signal
 import time
 from collections import deque
 from collections.abc import Callable
@@ -32,10 +31,9 @@ from planners.pipeline import Planner
 from planners.problem import Answer, MoveItErrorCode, PlanningFailure, PlanningProblem, Request
 from robot.channel import Channel, channel_of_child
 from robot.description.model import RobotModel
+from robot.template import end_with_parent, serve_copies
 
 log = logging.getLogger("armbridge.planner")
-
-PR_SET_PDEATHSIG = 1  # of linux/prctl.h
 
 # When the machine runs out of memory a planner is to go first: it costs one goal, the arm process costs the arm.
 OOM_SCORE = "600"
@@ -155,16 +153,23 @@ def limit_memory(limit_bytes: int) -> None:
 
 
 def main(make_planner: MakePlanner) -> None:
-    """Be a planner process until the server ends it."""
+    """Load a robot and be the template of planner processes, and each of them, until the server ends it."""
     # The server logs which signal ended a worker; the place in the code is known only here.
     faulthandler.enable()
-    # A worker that hangs never sees its socket close; the kernel ends it with the server's thread.
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    end_with_parent(os.getppid())
     try:
         Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
     except OSError as error:
         log.debug("oom_score_adj cannot be set: %s", error)
-    worker = Worker(channel_of_child(), make_planner)
+    channel = channel_of_child()
+    planner: Planner | None = None
+    if isinstance(load := channel.receive_first(), LoadRobot):
+        limit_memory(load.memory_limit_bytes)
+        # A worker tries again what fails here, and says why.
+        with contextlib.suppress(Exception):
+            planner = make_planner(load.robot)
+    serve_copies(channel)
+    worker = Worker(channel, lambda robot: planner or make_planner(robot))
     try:
         worker.run()
     except Exception:

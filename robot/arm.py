@@ -48,7 +48,7 @@ from robot.messages import (
     Stream,
 )
 from robot.physics.bodies import SetBodies
-from robot.processes import Child, DescriptorReserve, RestartDelay, StartedChild
+from robot.processes import ENDED_IN_ORDER, Child, DescriptorReserve, RestartDelay, StartedChild
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from robot.trajectory import Trajectory, Vector
 
@@ -56,7 +56,9 @@ log = logging.getLogger("armbridge.arm")
 
 Ending = TypeVar("Ending", MotionEnded, CommandDone)
 
-NO_MOTION = 0  # motions are numbered from 1 on
+NO_MOTION = 0  # motions are numbered from 1 on; 0 is a motion of the arm process itself
+
+STATE_POLL_S = 0.02
 
 # Orders sent before the process is configured are queued; configuring takes a fraction of a second.
 MAX_EARLY_ORDERS = 16
@@ -299,7 +301,13 @@ class Arm(ArmClock):
 
     async def rest(self, timeout_s: float) -> bool:
         """Wait until every motion in progress has ended; return True when they have within ``timeout_s``."""
-        return await self.wait(list(self._motions.values()), timeout_s)
+        until_s = self.clock_s + timeout_s
+        ended = await self.wait(list(self._motions.values()), timeout_s)
+        # The arm process's own way to the rest pose is in the states alone.
+        while ended and any(each.motion_id == NO_MOTION for each in self.state.motions):
+            ended = self.clock_s < until_s and self.state_age_s < SILENT_S
+            await asyncio.sleep(STATE_POLL_S)
+        return ended
 
     def order(
         self, order: Order, calibration: Calibration | None = None, epoch: int | None = None
@@ -354,10 +362,12 @@ class Arm(ArmClock):
                 await self._wait_for_end(ended)
                 if ended.done():
                     await self._process.leave()
-                else:
-                    # The last state does not tell: the process may have hung while it relaxed.
-                    advice = "" if self._config.hardware.simulated else f". {TORQUE_LEFT_ON}"
-                    log.warning("the arm process does not end and is killed; torque may be on at every joint%s", advice)
+            # The last state does not tell: the process may have hung, or been killed, while it relaxed.
+            if self._begun and (ending := self._process.ending) != ENDED_IN_ORDER:
+                advice = "" if self._config.hardware.simulated else f". {TORQUE_LEFT_ON}"
+                log.warning(
+                    "the arm process has not ended in order (%s); torque may be on at every joint%s", ending, advice
+                )
             await self._process.kill()
         except asyncio.CancelledError:
             self._process.send(Shutdown(hurry=True))
@@ -596,6 +606,10 @@ class ArmProcess:
         else:
             self._early.append(command)
         return True
+
+    @property
+    def ending(self) -> str:
+        return "it was never started" if self._child is None else self._child.ending
 
     async def leave(self) -> None:
         """Wait until a process that has closed its channel is gone; kill it when it stays."""

@@ -7,6 +7,7 @@ import signal
 import socket
 import struct
 import sys
+from collections import deque
 from typing import Any
 
 from robot import logs
@@ -21,6 +22,8 @@ MAX_MESSAGE_BYTES = 64 << 20
 MAX_PENDING_BYTES = 128 << 10
 
 READ_BYTES = 64 << 10
+
+MAX_PASSED = 1  # descriptors of one message
 
 # A service manager may send these to all processes of the service; by default they end a process.
 SIGNALS_OF_SERVER = (signal.SIGINT, signal.SIGHUP, signal.SIGUSR1)
@@ -65,9 +68,18 @@ class Channel:
         self._pending = bytearray()
         self._kept: list[Any] = []
         self.closed = False  # True when the server has closed its end, or has died
+        self.passed: deque[int] = deque()  # descriptors that have come with messages, in their order
 
     def fileno(self) -> int:
         return self._socket.fileno()
+
+    def move_to(self, descriptor: int) -> None:
+        """Go on with another socket: a forked process has its own, and its log goes there, too."""
+        self._socket.close()
+        self._socket = socket.socket(fileno=descriptor)
+        self._socket.setblocking(False)
+        self._decoder, self._pending, self._kept = Decoder(), bytearray(), []
+        self.passed.clear()
 
     def receive(self, timeout_s: float | None) -> list[Any]:
         """Return the messages that arrive within a time, without bound for None; none when the server is gone."""
@@ -95,7 +107,8 @@ class Channel:
 
     def _read(self) -> list[Any]:
         try:
-            data = self._socket.recv(READ_BYTES)
+            data, passed, _, _ = socket.recv_fds(self._socket, READ_BYTES, MAX_PASSED)
+            self.passed += passed
         except BlockingIOError:
             return []
         except OSError:

@@ -11,16 +11,19 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
 from typing import Any, NoReturn, TypeAlias, cast
 
 from robot import logs
 from robot.channel import SIGNALS_OF_SERVER, Decoder, encode
 from robot.logs import LogLine
+from robot.template import Copied, Copy, CopyEnded, Ready
 
 log = logging.getLogger("armbridge.processes")
 
 KILL_TIMEOUT_S = 5.0  # a killed process is gone in milliseconds, unless the machine is very busy
 LAST_MESSAGES_S = 0.3  # reading what waits in a socket takes a millisecond; a descendant of the child may keep it open
+ENDING_TIMEOUT_S = 1.0  # a process whose socket is closed is about to end; its exit code comes a moment later
 CLOSE_TIMEOUT_S = 1.0  # data still queued for a child that does not read may be lost
 
 # Interval of polling a process that is to end. No thread waits for it: a thread that hangs cannot be abandoned.
@@ -138,8 +141,25 @@ def _be_child(run: Callable[[], None]) -> NoReturn:
         os._exit(code)
 
 
-# Process that this one has started.
-Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess
+class CopiedProcess:
+    """Copy of a template (:mod:`robot.template`), which reports the end of its child: only a parent can wait for it."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+        self.code: int | None = None
+
+    def poll(self) -> int | None:
+        """Return the exit code, the negative number of a signal; None while it runs."""
+        return self.code
+
+    def kill(self) -> None:
+        if self.code is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGKILL)
+
+
+# Process that this one has started, or has had copied.
+Process: TypeAlias = subprocess.Popen[bytes] | ForkedProcess | CopiedProcess
 
 
 class StartedChild:
@@ -164,7 +184,7 @@ class StartedChild:
 
         with theirs:
             try:
-                self.process: Process = (
+                self.process: subprocess.Popen[bytes] | ForkedProcess = (
                     start_module(module, [started_as], (fd,)) if body is None else ForkedProcess(run)
                 )
             except BaseException:
@@ -179,12 +199,24 @@ class StartedChild:
             self.process.wait(KILL_TIMEOUT_S)
 
 
+@dataclass
+class StartedCopy:
+    """Copy of a template, and the server's end of its channel."""
+
+    process: CopiedProcess
+    socket: socket.socket
+    adopted: bool = False  # True once a Child owns it
+
+
+ENDED_IN_ORDER = "exit code 0"
+
+
 class Child(asyncio.Protocol):
     """Running child, and the server's end of its channel; messages are delivered as they are read, without a task."""
 
     def __init__(
         self,
-        started: StartedChild,
+        started: StartedChild | StartedCopy,
         on_message: Callable[[Any], None],
         on_exit: Callable[[], None],
         *,
@@ -193,7 +225,8 @@ class Child(asyncio.Protocol):
         self._on_message = on_message
         self._on_exit = on_exit
         started.adopted = True
-        self._process, self._socket = started.process, started.socket
+        self._process: Process = started.process
+        self._socket = started.socket
         self._decoder = Decoder()
         self._transport: asyncio.Transport | None = None
         self._ended = asyncio.Event()
@@ -215,7 +248,7 @@ class Child(asyncio.Protocol):
         code = self._process.poll()
         if code is None:
             return "it still runs"
-        return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        return ENDED_IN_ORDER if code == 0 else f"exit code {code}" if code > 0 else signal.Signals(-code).name
 
     async def connect(self) -> None:
         """Begin to read the child's messages; a child that cannot be read is killed."""
@@ -232,6 +265,12 @@ class Child(asyncio.Protocol):
         """Queue a message for the child; dropped before :meth:`connect` and after the child's end."""
         if self._transport is not None and not self._transport.is_closing():
             self._transport.write(encode(message))
+
+    def send_socket(self, message: object, passed: socket.socket) -> None:
+        """Send a message, and a socket for the child to use as well; OSError: the child does not read."""
+        if self._transport is None or self._transport.is_closing() or self._transport.get_write_buffer_size():
+            raise OSError(f"process {self.pid} does not read what it is sent")
+        socket.send_fds(self._socket, [encode(message)], [passed.fileno()])
 
     async def wait(self, timeout_s: float) -> None:
         """Wait for the child's end and last messages; kill it after ``timeout_s``, or when the wait is cancelled."""
@@ -285,6 +324,100 @@ class Child(asyncio.Protocol):
             self._on_message(message)
         except Exception:  # a bug in handling one message must not close the channel
             log.exception("serving a message of process %d failed", self.pid)
+
+
+class RunningTemplate:
+    """Template from its start to its end."""
+
+    def __init__(self, started: StartedChild) -> None:
+        self.child = Child(started, self._received, self._exited)
+        self._copies: dict[int, CopiedProcess] = {}
+        # Answers; None stands for the child's end.
+        self._ready: asyncio.Future[Ready | None] = asyncio.get_running_loop().create_future()
+        self._copied: asyncio.Future[CopiedProcess | None] = asyncio.get_running_loop().create_future()
+
+    async def copy(self, reserve: DescriptorReserve) -> StartedCopy:
+        with contextlib.ExitStack() as unless_copied:
+            if await asyncio.shield(self._ready) is not None:
+                with reserve.lent():
+                    ours, theirs = socket.socketpair()
+                unless_copied.callback(ours.close)
+                with theirs:
+                    self.child.send_socket(Copy(), theirs)
+                process = await self._copied
+                self._copied = asyncio.get_running_loop().create_future()
+                if process is not None:
+                    unless_copied.pop_all()
+                    return StartedCopy(process, ours)
+        await self.child.wait(ENDING_TIMEOUT_S)
+        raise OSError(f"the process that is copied ended ({self.child.ending})")
+
+    def _received(self, message: Any) -> None:
+        match message:
+            case Ready():
+                self._ready.set_result(message)
+            case Copied(pid):
+                process = self._copies[pid] = CopiedProcess(pid)
+                self._copied.set_result(process)
+            case CopyEnded(pid, code):
+                self._copies.pop(pid).code = code
+
+    def _exited(self) -> None:
+        for process in self._copies.values():
+            process.kill()
+            process.code = -signal.SIGKILL
+        for answer in (self._ready, self._copied):
+            if not answer.done():
+                answer.set_result(None)
+
+
+class Template:
+    """Child that is copied (:mod:`robot.template`), a module's ``main``; when it has ended a copy starts it again.
+
+    Args:
+        first_message: what the child loads from.
+        reserve: lends the descriptors that a start and a copy take.
+        timeout_s: time that loading may take [s].
+    """
+
+    def __init__(self, module: str, first_message: object, reserve: DescriptorReserve, timeout_s: float) -> None:
+        self._module, self._first_message = module, first_message
+        self._reserve, self._timeout_s = reserve, timeout_s
+        self._turns = asyncio.Lock()
+        self._running: RunningTemplate | None = None
+        self._closed = False
+
+    async def start(self) -> RunningTemplate:
+        """Start the child, which loads; OSError: it cannot be started, or was closed."""
+        if self._closed:
+            raise OSError("nothing is copied any more")
+        with self._reserve.lent():
+            running = self._running = RunningTemplate(StartedChild(self._module))
+        await running.child.connect()
+        running.child.send(self._first_message)
+        return running
+
+    async def copy(self) -> StartedCopy:
+        """Return a new copy, once the child has loaded; OSError: it has ended, or does not answer in time."""
+        async with self._turns:
+            running = self._running
+            if running is None or not running.child.running:
+                running = await self.start()
+            try:
+                async with asyncio.timeout(self._timeout_s):
+                    return await running.copy(self._reserve)
+            except BaseException as error:
+                # What it may still answer would be taken for the next answer.
+                await running.child.kill()
+                if isinstance(error, TimeoutError):
+                    raise OSError(f"the process that is copied did not answer within {self._timeout_s:g} s") from error
+                raise
+
+    async def close(self) -> None:
+        """End the child for good, and with it every copy."""
+        self._closed = True
+        if self._running is not None:
+            await self._running.child.kill()
 
 
 async def has_ended(process: Process, timeout_s: float) -> bool:

@@ -197,8 +197,6 @@ class App:
             *parkings.last_clients,
             *self._cameras,
             BackgroundTask("memory", MemoryKeeper(self._collector, self._nothing_moves).run),
-            # Ready without them: a first message may wait 20 ms for its type.
-            BackgroundTask("message types", self.graph.message_types.compile_waiting),
             # A start that was refused leaves no file.
             Part("the recording's file", self._recording.open_file),
         )

@@ -37,6 +37,7 @@ ALLOWED = {
         "robot.trajectory",
         "robot.channel",
         "robot.processes",
+        "robot.template",
     ),
     "robot": ("robot",),
     "protocol": ("protocol",),

@@ -67,9 +67,9 @@ def names_refusal(names: tuple[str, ...], known: tuple[str, ...]) -> str:
 def _corrections(values: ArmConfig | GuardLimits) -> dict[str, Any]:
     """Return the defaults of the values that are out of their ranges, by field; NaN is out of every range."""
     found = {}
-    for field in fields(values):
-        least, most = field.metadata.get("range", (0.0, 0.0))
-        if field.metadata and not least <= getattr(values, field.name) <= most:
+    for field in filter(lambda field: field.metadata, fields(values)):
+        least, most = field.metadata["range"]
+        if not least <= getattr(values, field.name) <= most:
             log.error("%s must be %g to %g; it is taken as %g", field.name, least, most, field.default)
             found[field.name] = field.default
     return found

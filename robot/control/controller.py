@@ -98,9 +98,7 @@ class ArmController:
 
     @property
     def mode(self) -> Mode:
-        """State of the arm: RELAXED, HOLDING, MOVING or FAULT."""
-        if self.fault is not None:
-            return Mode.FAULT
+        """State of an arm without a fault: RELAXED, HOLDING or MOVING."""
         if not self.torque_enabled:
             return Mode.RELAXED
         return Mode.MOVING if self.motions else Mode.HOLDING

@@ -131,7 +131,7 @@ def arm_state(
         state = replace(state, motion_id=motion.motion_id, fraction=motion.fraction, remaining_s=motion.remaining_s)
     return replace(
         state,
-        goal_rad=controller.goal_rad if controller.torque_enabled else measured.position_rad,
+        goal_rad=controller.goal_rad,
         motions=controller.progress,
         pace=controller.pace,
         torque_enabled=controller.torque_enabled,

@@ -284,13 +284,15 @@ class Supervisor:
         self._end_begun_s = self._end_begun_s or now_s
         taken_s = now_s - self._end_begun_s
         if controller is None:
-            late = self._lost_driven and self._end is not EndState.HOLD
+            # Servos that are still being checked may hold, as a process before this one has left them.
+            late = (self._lost_driven or self.arm is not None) and self._end is not EndState.HOLD
         else:
             driven = self._end is not EndState.HOLD and controller.torque_enabled
             late = controller.moving or self._task is not None or driven
-            timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
-            if late and self._end_ticks * PERIOD_S <= timeout_s and taken_s <= END_LIMIT_S:
-                return False
+        timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
+        in_time = self._end_ticks * PERIOD_S <= timeout_s and taken_s <= END_LIMIT_S
+        if late and in_time and self.arm is not None:
+            return False
         self._interrupt("the server is ending")
         if late:
             log.error(
@@ -307,7 +309,9 @@ class Supervisor:
         if orders is None or self._task is not None or now_s < self._check_at_s:
             return
         if self._controller is None:
-            self._begin(_Task(CONNECTING, orders.connect(may_enable=self._may_enable), None, now_s))
+            self._begin(
+                _Task(CONNECTING, orders.connect(may_enable=self._may_enable and self._end is None), None, now_s)
+            )
         elif self.arm is not None and self.arm.hardware.needs_survey and self._end is None:
             self._begin(_Task(CHECKING_AGAIN, orders.survey(), None, now_s))
 

@@ -57,10 +57,6 @@ SAME_PLACE_RAD = 0.005
 # Braking takes a second at most.
 REST_TIMEOUT_S = 2.0
 
-# States come at 50 Hz, or at 1 Hz from an arm that is set so.
-STATE_POLL_S = 0.02
-STATE_POLLS = 60
-
 
 @dataclass(frozen=True)
 class RestPose:
@@ -159,11 +155,6 @@ class ArmParking:
     async def prepare_exit(self) -> None:
         """Have the arm process know the way from where the arm has come to rest, before the server ends."""
         await self.arm.rest(REST_TIMEOUT_S)
-        # The end of a motion may come ahead of the state that shows where the arm holds.
-        for _ in range(STATE_POLLS):
-            if self.arm.state.mode is not Mode.MOVING:
-                break
-            await asyncio.sleep(STATE_POLL_S)
         positions_rad = self.context.planning.current.positions_rad()
         if not self.holds or positions_rad is None:
             return
@@ -358,11 +349,10 @@ class LastClient:
             parked = await parking
             if parked.done:
                 return
-            if self._arm.last_stop != last_stop:
-                log.warning("%s; the arm was stopped, and holds", parked.message)
-                return
-            if self._drivers:
-                log.warning("%s; a client is connected again, and the arm holds", parked.message)
+            stopped = self._arm.last_stop != last_stop
+            if stopped or self._drivers:
+                why = "the arm was stopped" if stopped else "a client is connected again"
+                log.warning("%s; %s: the arm holds", parked.message, why)
                 return
             log.warning("%s; it is relaxed where it is", parked.message)
         relaxed = await self._arm.order(Order.RELAX)

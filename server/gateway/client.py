@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from protocol.errors import ProtocolError
@@ -130,10 +130,10 @@ class Client:
         self.auth = ClientAuth(context, self._authorizer)
         self.inbox = Inbox(self, context)
 
-    def receive_frame(self, frame: str | bytes) -> None:
+    def receive_frame(self, frame: str | bytes, epoch: int | None = None) -> None:
         """Take a frame, to be carried out in the client's turn; nothing in it can raise."""
         self.received_messages += 1
-        self.inbox.receive_frame(frame)
+        self.inbox.receive_frame(frame, epoch)
 
     def leave(self) -> None:
         self.inbox.close()
@@ -192,7 +192,7 @@ class Client:
                 case CallService():
                     self.services.call_unanswered(operation)
                 case Publish():
-                    self.topics.publish(operation, self._message_of(operation, 0, light=True))
+                    self.topics.publish(operation, ReceivedMessage(operation.msg, 0, self.session.dialect, light=True))
                 case _:
                     pass
 
@@ -225,8 +225,7 @@ class Client:
                 self.reject(operation, refusal)
                 return
             self._detect_dialect(operation)
-            message = waiting.message or self._message_of(operation, waiting.size_bytes, light=waiting.light)
-            _HANDLERS[type(operation)](self, operation, message)
+            self._serve(operation, waiting)
         except (ProtocolError, GraphError) as error:
             self.status.refuse_error(operation.op, error, operation.id)
         except PostponedError:
@@ -252,12 +251,50 @@ class Client:
         if self._graph.message_types.registry.exists_only_in_ros1(name, kind):
             self.session.dialect = "ros1"
 
-    def _message_of(self, operation: Operation, size_bytes: int, *, light: bool) -> ReceivedMessage:
-        field = _MESSAGE_FIELDS.get(type(operation))
-        message = {} if field is None else getattr(operation, field)
-        if message is None and field == "values":
-            message = {}
-        return ReceivedMessage(message, size_bytes, self.session.dialect, light=light)
+    def _serve(self, operation: Operation, waiting: Waiting) -> None:
+        """Serve an operation; fragments and pictures are unpacked before."""
+
+        def received(message: Any) -> ReceivedMessage:
+            size_bytes, dialect = waiting.size_bytes, self.session.dialect
+            return waiting.message or ReceivedMessage(message, size_bytes, dialect, light=waiting.light)
+
+        match operation:
+            case Publish():
+                self.topics.publish(operation, received(operation.msg))
+            case CallService():
+                self.services.call(operation, received(operation.args))
+            case ServiceResponse():
+                self.services.respond(operation, received({} if operation.values is None else operation.values))
+            case SendActionGoal():
+                self.actions.send_goal(operation, received(operation.args))
+            case ActionFeedback():
+                self.actions.report_feedback(operation, received(operation.values))
+            case ActionResult():
+                self.actions.finish(operation, received({} if operation.values is None else operation.values))
+            case CancelActionGoal():
+                self.actions.cancel(operation)
+            case Subscribe():
+                self.topics.subscribe(operation)
+            case Unsubscribe():
+                self.topics.unsubscribe(operation)
+            case Advertise():
+                self.topics.advertise(operation)
+            case Unadvertise():
+                self.topics.unadvertise(operation)
+            case AdvertiseService():
+                self.services.advertise(operation)
+            case UnadvertiseService():
+                self.services.unadvertise(operation)
+            case AdvertiseAction():
+                self.actions.advertise(operation)
+            case UnadvertiseAction():
+                self.actions.unadvertise(operation)
+            case SetLevel():
+                self.status.set_level(operation)
+            case Status():
+                self.status.log_status(operation)
+            case Auth():
+                self.auth.authenticate(operation)
 
     def _refuse(self, refusal: Refusal) -> None:
         """Report an operation that cannot be read; clients that wait for it, or for its answer, get a failure."""
@@ -272,38 +309,6 @@ class Client:
             case "action_result":
                 self.actions.fail(refusal.id, refusal.text)
 
-
-# Handler of each operation; fragments and pictures are unpacked before.
-_HANDLERS: Mapping[type[Operation], Callable[[Client, Any, ReceivedMessage], None]] = {
-    Publish: lambda client, operation, message: client.topics.publish(operation, message),
-    Subscribe: lambda client, operation, _: client.topics.subscribe(operation),
-    Unsubscribe: lambda client, operation, _: client.topics.unsubscribe(operation),
-    Advertise: lambda client, operation, _: client.topics.advertise(operation),
-    Unadvertise: lambda client, operation, _: client.topics.unadvertise(operation),
-    CallService: lambda client, operation, message: client.services.call(operation, message),
-    ServiceResponse: lambda client, operation, message: client.services.respond(operation, message),
-    AdvertiseService: lambda client, operation, _: client.services.advertise(operation),
-    UnadvertiseService: lambda client, operation, _: client.services.unadvertise(operation),
-    SendActionGoal: lambda client, operation, message: client.actions.send_goal(operation, message),
-    CancelActionGoal: lambda client, operation, _: client.actions.cancel(operation),
-    ActionFeedback: lambda client, operation, message: client.actions.report_feedback(operation, message),
-    ActionResult: lambda client, operation, message: client.actions.finish(operation, message),
-    AdvertiseAction: lambda client, operation, _: client.actions.advertise(operation),
-    UnadvertiseAction: lambda client, operation, _: client.actions.unadvertise(operation),
-    SetLevel: lambda client, operation, _: client.status.set_level(operation),
-    Status: lambda client, operation, _: client.status.log_status(operation),
-    Auth: lambda client, operation, _: client.auth.authenticate(operation),
-}
-
-# Field of an operation with its message.
-_MESSAGE_FIELDS: Mapping[type[Operation], str] = {
-    Publish: "msg",
-    CallService: "args",
-    SendActionGoal: "args",
-    ServiceResponse: "values",
-    ActionResult: "values",
-    ActionFeedback: "values",
-}
 
 # Field of an operation with its type, and what that is a type of.
 _TYPE_FIELDS: Mapping[type[Operation], tuple[str, Kind]] = {

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -94,7 +92,6 @@ class MessageTypes:
         self.registry = registry
         self.wall_clock = wall_clock
         self._relay_unknown_types = relay_unknown_types
-        self._to_compile: deque[str] = deque()
 
     def canonical(self, name: str, kind: Kind) -> str:
         """Return the three-part name of a type, or raise InterfaceError."""
@@ -113,15 +110,6 @@ class MessageTypes:
     def now(self) -> Stamp:
         """Return the time of receipt of what comes now."""
         return Stamp.from_seconds(self.wall_clock())
-
-    def compile_later(self, *type_names: str) -> None:
-        """Have types compiled by :meth:`compile_waiting`, ahead of their first messages: the largest take 5 ms."""
-        self._to_compile.extend(type_names)
-
-    async def compile_waiting(self) -> None:
-        """Compile the types that wait, in a thread; the event loop has its turns meanwhile."""
-        while self._to_compile:
-            await asyncio.to_thread(messages.complete, self.registry, self._to_compile.popleft(), {}, Stamp(0, 0))
 
     def complete(self, type_name: str, value: object, received: Stamp | None = None) -> dict[str, Any]:
         """Validate a message and fill in what it leaves out; see `protocol.messages.complete`.

@@ -142,7 +142,6 @@ class Providers(Generic[AnyRequest]):
         offer = Provider(node, name, canonical, start, limit_s)
         if limits is not None:
             offer.check_lists = limits.check(self._message_types.registry, f"{canonical}_{self._parts[0]}")
-            self._message_types.compile_later(*(f"{canonical}_{part}" for part in self._parts))
         return offer
 
     def _add(self, offer: Provider[AnyRequest], rule: Rule | None) -> None:

@@ -6,11 +6,11 @@ import asyncio
 import itertools
 from collections.abc import Callable
 
+from planners.messages import LoadRobot
 from planners.pool import OnHard
 from planners.problem import Answer, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem, Request, StateAnswer
 from planners.scene import EMPTY_SCENE, Scene
 from planners.worker import HARD_AFTER_S
-from robot.description.model import RobotModel
 from tests.helpers.motions import STILL
 
 PLAN, SOUND = Plan(STILL, "first", 0.01), StateAnswer(valid=True, problems=())
@@ -56,8 +56,6 @@ class FakeWorker:
         self._gone = False
 
     async def start(self) -> None:
-        if self._farm.starts_fail:
-            raise OSError("no space left on device")
         if self._farm.ends_at_start:
             asyncio.get_running_loop().call_soon(self.end)
         elif self._farm.loads:
@@ -115,7 +113,7 @@ class FakeWorker:
 
 
 class Farm:
-    """Workers of pools.
+    """Workers of pools, and the template that they are copies of.
 
     Attributes:
         workers: all that were started.
@@ -137,10 +135,20 @@ class Farm:
         self.question_s = 0.005
         self._pids = itertools.count(1)
 
+    async def start(self) -> None:
+        pass
+
+    async def copy(self) -> None:
+        if self.starts_fail:
+            raise OSError("no space left on device")
+
+    async def close(self) -> None:
+        pass
+
     def make(
         self,
-        _robot: RobotModel,
-        _memory_limit_bytes: int,
+        _started: None,
+        _load: LoadRobot,
         on_loaded: Callable[[FakeWorker, str | None], None],
         on_exit: Callable[[FakeWorker], None],
         *,

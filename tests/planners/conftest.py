@@ -93,6 +93,7 @@ def farm(monkeypatch):
     """Workers in place of the processes of every pool of a test."""
     made = Farm()
     monkeypatch.setattr(pool_module, "WorkerProcess", made.make)
+    monkeypatch.setattr(pool_module, "Template", lambda *_: made)
     return made
 
 

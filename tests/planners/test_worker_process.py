@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from harness.waiting import given_up
 from planners import messages, pool
-from planners.messages import OBJECT_BYTES, PART_BYTES, Answered, Ask, NewScene, StillSearching, parts
+from planners.messages import OBJECT_BYTES, PART_BYTES, Answered, Ask, LoadRobot, NewScene, StillSearching, parts
 from planners.pool import CANCEL_TIMEOUT_S, WorkerProcess
 from planners.problem import MoveItErrorCode, Request
 from planners.scene import EMPTY_SCENE, Box, Mesh, Pose, Scene, SceneObject
@@ -64,7 +64,7 @@ class Worked:
     """A worker whose child is fake, and its requests."""
 
     def __init__(self) -> None:
-        self.worker = WorkerProcess(so101(), 1 << 30, lambda _worker, _refusal: None, lambda _: None)
+        self.worker = WorkerProcess(None, LoadRobot(so101(), 1 << 30), lambda _worker, _refusal: None, lambda _: None)
         self.child: Any = self.worker._child
         self.hard_s: list[float] = []
 
@@ -85,7 +85,6 @@ class Worked:
 @pytest_asyncio.fixture
 async def worked(monkeypatch: pytest.MonkeyPatch) -> Worked:
     """A worker that has loaded its robot."""
-    monkeypatch.setattr(pool, "StartedChild", lambda _module: None)
     monkeypatch.setattr(pool, "Child", FakeChild)
     made = Worked()
     await made.worker.start()

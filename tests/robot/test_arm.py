@@ -2,16 +2,19 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import pytest_asyncio
 
 from harness.waiting import TIMEOUT_S, until
-from robot.arm import Arm
-from robot.messages import Mode, Order, Outcome
+from robot.arm import NO_MOTION, STATE_POLL_S, Arm
+from robot.messages import Mode, MotionProgress, Order, Outcome
 from robot.stop_epochs import STOP_EPOCHS
 from tests.helpers.arm_on_servos import ArmOnServos, to
+from tests.helpers.fake_arm import FakeArm
 from tests.helpers.motions import smooth_move
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
@@ -61,6 +64,17 @@ async def test_one_of_two_motions_is_stopped(rig: ArmOnServos) -> None:
     rig.arm.stop(roll)
     assert (await asyncio.wait_for(roll, TIMEOUT_S)).outcome is Outcome.STOPPED
     assert (await pan).outcome is Outcome.REACHED
+
+
+async def test_the_arm_process_s_own_way_to_the_rest_pose_is_waited_for() -> None:
+    arm: Any = FakeArm()
+    arm._motions = {}
+    arm.state = replace(arm.state, motions=(MotionProgress(NO_MOTION, 0.5, 1.0),))
+    resting = asyncio.create_task(Arm.rest(arm, TIMEOUT_S))
+    await asyncio.wait([resting], timeout=2.5 * STATE_POLL_S)
+    assert not resting.done()
+    arm.state = replace(arm.state, motions=())
+    assert await resting
 
 
 async def test_an_arm_whose_bus_is_gone_is_found_when_it_is_back(rig: ArmOnServos) -> None:

@@ -1,7 +1,9 @@
 """ARCHITECTURE.md: each of its examples is added to a server as the page describes, and called by a client."""
 
+import inspect
 import re
 import sys
+import textwrap
 from dataclasses import replace
 from types import ModuleType
 from typing import Any
@@ -64,11 +66,11 @@ async def test_the_arm_feature_serves_one_arm_and_each_of_several(monkeypatch: p
 
 def test_the_operation_is_answered_and_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     operations, client = protocol.operations, server.gateway.client
-    known = vars(operations).copy()
+    known = vars(operations) | vars(client)
     exec(BLOCKS["protocol/operations.py"], known)
     monkeypatch.setitem(operations.OPERATIONS, "ping", known["Ping"])
-    (handler,) = eval(f"{{{BLOCKS['server/gateway/client.py']}}}", known).items()
-    monkeypatch.setitem(client._HANDLERS, *handler)
+    exec(textwrap.dedent(inspect.getsource(client.Client._serve) + BLOCKS["server/gateway/client.py"]), known)
+    monkeypatch.setattr(client.Client, "_serve", known["_serve"])
     world = InProcess()
     world.say("client", op="set_level", level="info")
     world.heard("client")

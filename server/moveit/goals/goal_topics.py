@@ -253,8 +253,7 @@ class GoalTopics:
         # The driving client chooses the group.
         self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group, rule=SWITCHING))
         self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel, rule=CANCELLING))
-        stopper = Subscriber(self._stop, rule=STOPPING)
-        self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", stopper)
+        self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop, rule=STOPPING))
         self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event, rule=STOP_EVENT))
 
     def _take_goals(self, topic: str, type_name: str) -> None:

@@ -96,7 +96,7 @@ SPARE_FILES, SPARE_BYTES = 4, 30e6
 
 async def fall(pool: PlannerPool, rng: random.Random) -> None:
     """Have a drawn fault happen to a motion: one of its own, a cancel, or a signal to one worker or to all."""
-    fault = rng.choice([*broken_planner.FAULTS, "cancelled", *SIGNALS, "all killed"])
+    fault = rng.choice([*broken_planner.FAULTS, "cancelled", *SIGNALS, "all killed", "template killed"])
     if isinstance(fault, str) and fault in broken_planner.FAULTS:
         await pool.ask(broken(fault, allowed_time_s=0.3))
         return
@@ -104,7 +104,9 @@ async def fall(pool: PlannerPool, rng: random.Random) -> None:
     await asyncio.wait([asking], timeout=rng.uniform(0.0, 0.2))
     if fault == "cancelled":
         asking.cancel()
-    for pid in pool.pids if fault == "all killed" else [rng.choice(pool.pids)] if fault in SIGNALS else []:
+    template = [psutil.Process(pid).ppid() for pid in pool.pids[:1]]
+    hit = {"all killed": pool.pids, "template killed": template}.get(fault, [])
+    for pid in [rng.choice(pool.pids)] if isinstance(fault, signal.Signals) else hit:
         os.kill(pid, fault if isinstance(fault, signal.Signals) else signal.SIGKILL)
     await asyncio.wait([asking])
 
@@ -125,6 +127,11 @@ async def test_drawn_faults_cost_one_motion_each_and_leave_nothing_behind(both_i
     await until(lambda: both_idle.idle_count == len(both_idle.pids) == 2, RECOVERY_S)
     assert process.num_fds() <= files + SPARE_FILES
     assert process.memory_info().rss <= memory_bytes + SPARE_BYTES
+
+
+async def test_what_workers_are_copied_from_has_no_thread_that_a_copy_would_miss(both_idle: PlannerPool) -> None:
+    (template,) = {psutil.Process(pid).ppid() for pid in both_idle.pids}
+    assert psutil.Process(template).num_threads() == 1
 
 
 async def test_a_worker_that_hangs_answers_timed_out_and_is_replaced(both_idle: PlannerPool) -> None:
@@ -167,12 +174,13 @@ async def test_a_large_scene_reaches_a_worker_whole(both_idle: PlannerPool) -> N
 
 
 async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both_idle: PlannerPool) -> None:
-    for pid in both_idle.pids:
+    before = set(both_idle.pids)
+    for pid in before:
         os.kill(pid, signal.SIGKILL)
     # The pool cannot have heard of it yet, as this does not give the event loop a turn.
-    wait_until(lambda: all(psutil.Process(pid).status() == psutil.STATUS_ZOMBIE for pid in both_idle.pids))
+    wait_until(lambda: not any(map(runs, before)))
     with no_descriptors_left():
-        await until(lambda: sum(worker.usable for worker in both_idle._idle) == 2)
+        await until(lambda: both_idle.idle_count == 2 and not before & set(both_idle.pids))
     assert isinstance(await both_idle.ask(EASY), Plan)
 
 

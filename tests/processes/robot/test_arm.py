@@ -308,7 +308,17 @@ async def test_an_arm_process_that_hangs_at_its_end_is_killed(
     await asyncio.wait_for(relaxing.arm.close(), TIMEOUT_S)
     assert not runs(pid)
     # Two limits run: for its end, and for its silence.
-    assert "the arm process has been silent" in caplog.text or "does not end and is killed" in caplog.text
+    assert "the arm process has been silent" in caplog.text or "has not ended in order (it still runs)" in caplog.text
+
+
+async def test_an_arm_process_that_is_killed_at_its_end_is_reported(
+    relaxing: ArmOnServos, caplog: pytest.LogCaptureFixture
+) -> None:
+    closing = asyncio.create_task(relaxing.arm.close())
+    await asyncio.sleep(0.0)
+    relaxing.kill(signal.SIGKILL)
+    await asyncio.wait_for(closing, TIMEOUT_S)
+    assert "has not ended in order (SIGKILL); torque may be on" in caplog.text
 
 
 async def test_an_arm_process_that_is_not_waited_for_ends_by_itself_in_its_end_state(relaxing: ArmOnServos) -> None:

@@ -196,13 +196,14 @@ def test_an_arm_found_outside_its_soft_limits_may_be_brought_back_inside() -> No
     assert np.array(rig.goals)[:, 0].max() <= outside
 
 
-@pytest.mark.parametrize("way", ["motion", "stream", "stopped motion"])
+@pytest.mark.parametrize("way", ["motion", "stream", "stopped motion", "motion of two joints"])
 def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque_even_if_stopped(way: str) -> None:
     rig = Rig([0.0, 0.0, 0.0, 0.0, 0.0, 1.5])
     if way == "stream":
         rig.controller.stream(Stream(1, ("gripper",), gripping=True))
     else:
-        rig.controller.execute(Execute(1, move(gripper=(1.5, 0.0)), gripping=True, torque_share=0.8))
+        others = {"wrist_roll": (0.0, 0.5)} if way == "motion of two joints" else {}
+        rig.controller.execute(Execute(1, move(**others, gripper=(1.5, 0.0)), gripping=True, torque_share=0.8))
     object_rad, ended = 0.8, None
     for _ in range(600):
         rig.controller.steer(Setpoint(1, np.array([-0.8])))
@@ -212,6 +213,7 @@ def test_a_gripper_that_stalls_has_gripped_and_squeezes_a_little_at_less_torque_
             rig.controller.stop()
         ended = rig.tick(lag=lag, load=[0, 0, 0, 0, 0, -0.45 if lag[5] > 0.05 else 0.0]) or ended
     assert ended.outcome is (Outcome.STOPPED if way == "stopped motion" else Outcome.GRIPPED)
+    assert way == "stopped motion" or ended.message == "joint gripper holds something at 0.800 rad"
     assert rig.controller.fault is None
     # 0.05 rad inside of the object, with half of the torque.
     assert rig.controller.goal_rad[5] == pytest.approx(object_rad - 0.05)
@@ -283,6 +285,8 @@ def test_a_fault_ends_motions_with_its_outcome_brakes_or_freezes_and_only_a_grav
     rig.run(100)
     moved_rad = rig.controller.goal_rad[0] - at_fault_rad
     assert moved_rad == pytest.approx(0.0) if code in FREEZING else 0.0 < moved_rad < 0.3
+    accelerations = np.abs(np.diff(np.array(rig.goals)[:, 0], n=2)) / PERIOD_S**2 / BOUNDS.max_acceleration[0]
+    assert bool(accelerations.max() <= 1.05) is (code not in FREEZING)
     assert not rig.controller.moving
     for later in FaultCode:
         rig.controller.fault = Fault(code, "it was found")
@@ -430,10 +434,16 @@ def test_a_speed_limit_that_is_lowered_slows_the_motion_in_progress(rig: Rig) ->
     assert rig.largest_step()[0] <= LIMIT * BOUNDS.max_velocity[0] * PERIOD_S * ROUNDING
 
 
-def test_no_joint_of_a_stream_is_faster_than_the_speed_limit(rig: Rig) -> None:
-    rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
+@pytest.mark.parametrize("lowered_at", [0, 30])
+def test_no_joint_of_a_stream_is_faster_than_the_speed_limit_also_when_it_is_lowered(rig: Rig, lowered_at: int) -> None:
+    if not lowered_at:
+        rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
     rig.controller.stream(Stream(1, ("shoulder_pan", "wrist_roll")))
-    for _ in range(60):
+    for tick in range(120):
+        if tick == lowered_at:
+            rig.controller.change_pace(ChangePace(speed_limit=LIMIT))
+        if tick == 60:
+            rig.goals = rig.goals[-1 if lowered_at else 0 :]
         rig.controller.steer(Setpoint(1, np.array([1.5, -1.0])))
         rig.tick()
     pan, roll = (rig.largest_step()[joint] / BOUNDS.max_velocity[joint] / PERIOD_S for joint in (0, 4))

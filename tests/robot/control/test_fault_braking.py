@@ -67,20 +67,6 @@ def moving_into_fault(code: FaultCode, command: dict[str, object], **settings: A
 LOW_SUPPLY: dict[str, object] = {"voltage": {"3": 4.0}}
 
 
-@pytest.mark.parametrize(
-    ("code", "command"),
-    [
-        (FaultCode.VOLTAGE_LOW, LOW_SUPPLY),
-        (FaultCode.SERVO_SILENT, {"offline": [3]}),
-        (FaultCode.TORQUE_LOST, {"torque_off": [3]}),
-    ],
-)
-def test_a_fault_with_known_positions_brakes_within_the_limits(code: FaultCode, command: dict[str, object]) -> None:
-    moving = moving_into_fault(code, command)
-    moving.run(1.0)
-    assert moving.accelerations().max() <= TOLERANCE
-
-
 def test_a_hot_arm_is_relaxed_after_it_has_braked() -> None:
     moving = moving_into_fault(FaultCode.OVERHEATED, {"temperature": {"3": 67}})
     moving.run(0.05)
@@ -129,13 +115,6 @@ def test_a_second_joint_that_stalls_in_the_braking_yields_as_well() -> None:
     moving.until_fault(FaultCode.STALLED)
     moving.run(1.5)
     assert moving.controller.goal_rad[[PAN, WRIST]] == pytest.approx([OBSTACLE_RAD, -0.2], abs=0.02)
-
-
-def test_a_joint_that_jumped_freezes_the_goals_as_its_position_is_unknown() -> None:
-    moving = moving_into_fault(FaultCode.POSITION_JUMP, {"jump": {"3": 900}})
-    at_fault_rad = moving.controller.goal_rad[[PAN, WRIST]]
-    moving.run(0.5)
-    assert moving.controller.goal_rad[[PAN, WRIST]] == pytest.approx(at_fault_rad)
 
 
 def test_an_emergency_stop_that_holds_stops_the_goals_within_one_tick_also_in_the_braking_of_a_fault() -> None:

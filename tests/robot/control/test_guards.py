@@ -209,7 +209,9 @@ def test_one_tick_in_which_all_is_well_makes_a_condition_begin_anew(ill: Measure
     [
         ({"temperature_c": 54.9, "age_s": 0.1}, []),
         ({"temperature_c": 55.0}, [(ServoAlert.WARM, "warm: 55 degC")]),
+        ({"temperature_c": 59.4}, [(ServoAlert.WARM, "warm: 59 degC")]),
         ({"temperature_c": 60.0}, [(ServoAlert.SLOWED, "motions run at half speed at 60 degC")]),
+        ({"temperature_c": 64.0}, [(ServoAlert.SLOWED, "motions run at half speed at 64 degC")]),
         ({"age_s": 0.5}, [(ServoAlert.NO_ANSWER, "no answer for 0.5 s")]),
         (
             {"status": int(StatusFlag.OVERLOAD | StatusFlag.VOLTAGE)},
@@ -292,13 +294,14 @@ def test_the_short_way_through_the_guards_finds_what_the_long_one_finds(seed: in
         if tick % 80 == 0:
             beyond = (rng.random(5) < 0.2) & (tick > 0)
             offset = rng.choice([0.0, 0.14, 2.0 * near]) * rng.random(6) * (tick > 0)
-            load = rng.uniform(0.0, 1.0)
+            load, ill = rng.uniform(0.0, 1.0), rng.random(6) < 0.4
+            volts, flags = rng.uniform(low - 0.5, low + 0.5), rng.choice([FLAGGED, int(StatusFlag.OVERLOAD)])
         position = offset + rng.normal(0.0, 0.002, 6)
         measured = reading(
             position,
-            temperature_c=rng.uniform(hot - 3.0, hot + 0.5) if beyond[1] else 40.0,
-            voltage_v=rng.uniform(low - 0.1, low + 1.0) if beyond[2] else 6.0,
-            status=np.full(6, rng.choice([0, FLAGGED])) if beyond[3] else np.zeros(6, dtype=int),
+            temperature_c=np.where(ill & beyond[1], rng.uniform(hot - 3.0, hot + 0.5), 40.0),
+            voltage_v=np.where(ill & beyond[2], volts, 6.0),
+            status=np.where(ill & beyond[3], flags, 0),
             age_s=rng.uniform(0.0, 1.2 * silent, 6) if beyond[4] else 0.0,
             load=load,
         )

@@ -1,4 +1,5 @@
 import math
+from collections import defaultdict
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,20 @@ from robot.control.pacing import LoopClock, Scheduling
 from robot.errors import PortError
 from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.hardware.interface import HardwareInterface, Measured
-from robot.messages import ArmConfig, ArmState, Command, Execute, Heartbeat, Mode, MotionEnded, Order, Outcome, Shutdown
+from robot.messages import (
+    ArmConfig,
+    ArmHealth,
+    ArmState,
+    Command,
+    CommandDone,
+    Execute,
+    Heartbeat,
+    Mode,
+    MotionEnded,
+    Order,
+    Outcome,
+    Shutdown,
+)
 from tests.helpers import dynamixel
 from tests.helpers.arm_rig import CALIBRATION, NAMES, ROBOT
 from tests.helpers.emulator import SteppedClock
@@ -42,9 +56,10 @@ class SteppedChannel:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, config: ArmConfig, *messages: tuple[float, object]) -> None:
         self.now_s = 0.0
-        self.lag_s = 0.0  # time that each look at the messages takes
+        self.looks = 0
         self.messages = list(messages)
         self.sent: list[tuple[float, Any]] = []
+        self.dropped: defaultdict[type, set[bool]] = defaultdict(set)  # True: while the server does not read
         self.gone_at_s = math.inf
         monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: self.now_s, sleep=self.receive))
         self.loop = ArmLoop(self, config, Scheduling())  # type: ignore[arg-type]
@@ -59,13 +74,16 @@ class SteppedChannel:
             until_s = self.gone_at_s
         if self.messages and self.messages[0][0] <= until_s:
             until_s = max(self.now_s, self.messages[0][0])
-        self.now_s = until_s + self.lag_s
+        self.now_s, self.looks = until_s, self.looks + 1
+        if timeout_s < 0.0 or self.now_s > 60.0 or self.looks > 10_000:
+            raise TimeoutError("the loop never ends, or waits for less than no time")
         due = [message for at_s, message in self.messages if at_s <= until_s]
         del self.messages[: len(due)]
         return due
 
     def send(self, message: object, *, droppable: bool) -> None:
         self.sent.append((self.now_s, message))
+        self.dropped[type(message)].add(droppable)
 
     def kept(self, kind: type) -> list[tuple[float, Any]]:
         """All messages of a kind that were sent, with their times."""
@@ -81,6 +99,12 @@ def test_hardware_that_cannot_be_opened_is_tried_again_ever_later_and_at_once_af
     tried_s: list[float] = []
     channel = SteppedChannel(monkeypatch, IDEAL, (12.0, Shutdown()))
 
+    def opener(*_: object) -> Callable[[], HardwareInterface]:
+        if not tried_s:
+            tried_s.append(channel.now_s)
+            raise OSError("the log is in use")
+        return fail
+
     def fail() -> HardwareInterface:
         tried_s.append(channel.now_s)
         if len(tried_s) == 6:
@@ -89,14 +113,17 @@ def test_hardware_that_cannot_be_opened_is_tried_again_ever_later_and_at_once_af
             return hardware
         raise PortError("/dev/none", "is not there")
 
-    monkeypatch.setattr(loop, "hardware_opener", lambda *_: fail)
+    monkeypatch.setattr(loop, "hardware_opener", opener)
     channel.loop.run()
     # The sixth is there, and lost in its first tick.
     assert tried_s == pytest.approx([0.0, 0.2, 0.6, 1.4, 3.0, 5.0, 5.01, 5.21, 5.61, 6.41, 8.01, 10.01], abs=1e-6)
+    reasons = list(dict.fromkeys(state.reason for _, state in channel.kept(ArmState)))
+    assert channel.dropped[ArmState] == {True}
+    assert reasons == ["the emulated servos cannot be made: the log is in use", "serial port /dev/none is not there"]
 
 
-def ticks_of(channel: SteppedChannel, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
-    """Run the loop until its end; returns the times of its ticks."""
+def ticks_of(channel: SteppedChannel, monkeypatch: pytest.MonkeyPatch, tick_s: float = 0.0) -> np.ndarray:
+    """Run the loop until its end, with ticks that take some time; returns when they came."""
     ticked_s: list[float] = []
 
     def opener(config: ArmConfig, clock: LoopClock) -> Callable[[], HardwareInterface]:
@@ -105,6 +132,7 @@ def ticks_of(channel: SteppedChannel, monkeypatch: pytest.MonkeyPatch) -> np.nda
 
         def recorded() -> Measured | None:
             ticked_s.append(channel.now_s)
+            channel.now_s += tick_s
             return read()
 
         hardware.read = recorded  # type: ignore[method-assign]
@@ -136,11 +164,22 @@ def test_a_tick_is_every_hundredth_second_or_skipped_at_rest_and_at_once_for_a_m
     assert np.diff(ticked_s[over + 26 :]) == pytest.approx(0.05)
 
 
-def test_sequences_go_on_when_every_tick_is_late(monkeypatch: pytest.MonkeyPatch) -> None:
-    channel = SteppedChannel(monkeypatch, ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), (20.0, Shutdown()))
-    channel.lag_s = 0.05
+def test_sequences_take_all_steps_between_two_ticks_that_there_is_time_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    channel = SteppedChannel(monkeypatch, ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), (2.0, Shutdown()))
     ticks_of(channel, monkeypatch)
-    assert any(state.mode is Mode.HOLDING for _, state in channel.kept(ArmState))
+    # With one step a tick it takes 1.7 s.
+    assert min(at_s for at_s, state in channel.kept(ArmState) if state.mode is Mode.HOLDING) < 0.7
+
+
+def test_when_every_tick_is_late_sequences_go_on_and_a_simulated_arm_is_slower(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION), state_rate_hz=100.0)
+    channel = SteppedChannel(monkeypatch, config, (20.0, Shutdown()))
+    ticks_of(channel, monkeypatch, tick_s=0.0295)
+    states = channel.kept(ArmState)
+    assert any(state.mode is Mode.HOLDING for _, state in states)
+    # No more than two periods pass in a tick.
+    (first_s, first), (last_s, last) = states[0], states[-1]
+    assert last.clock_s - first.clock_s == pytest.approx(0.02 / 0.0295 * (last_s - first_s))
 
 
 def test_of_messages_that_come_together_an_emergency_stop_goes_first(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,6 +188,8 @@ def test_of_messages_that_come_together_an_emergency_stop_goes_first(monkeypatch
     ticks_of(channel, monkeypatch)
     ends = [(ended.motion_id, ended.outcome) for _, ended in channel.kept(MotionEnded)]
     assert ends == [(1, Outcome.STOPPED), (2, Outcome.REFUSED)]
+    # No answer is left out for a server that does not read; of states and reports another comes.
+    assert channel.dropped == {ArmState: {True}, ArmHealth: {True}, MotionEnded: {False}, CommandDone: {False}}
 
 
 @pytest.mark.parametrize("opens", [True, False])

@@ -128,9 +128,10 @@ LIMITS = GuardLimits()
 
 
 def at_its_end(limits: GuardLimits = LIMITS, **options: bool) -> tuple[Motion, np.ndarray]:
-    motion = Motion(Execute(1, smooth_move({"gripper": (0.0, 1.0)}, 1.0), **options), NAMES, BOUNDS, limits)
+    move = smooth_move({"elbow_flex": (0.0, 0.5), "gripper": (0.0, 1.0)}, 1.0)
+    motion = Motion(Execute(1, move, **options), NAMES, BOUNDS, limits)
     motion.advance(2.0)
-    return motion, np.array([0.0, 0.0, 1.0])
+    return motion, np.array([0.0, 0.5, 1.0])
 
 
 def test_a_motion_has_reached_its_end_after_three_ticks_in_a_row_within_the_tolerance_of_its_joints() -> None:
@@ -170,9 +171,10 @@ def test_how_near_and_how_soon_can_be_set() -> None:
     assert ends[-1] is not None
     assert ends[-1].outcome is Outcome.REACHED
     motion, goal = at_its_end(limits)
-    assert [motion.end(goal, goal - 0.21, now_s) for now_s in (0.0, 2.9)] == [None, None]
-    end = motion.end(goal, goal - 0.21, 3.0)
-    assert "3 s after the end of the motion (tolerance 0.2 rad)" in end.message
+    near = goal - np.array([0.0, 0.1, 0.21])
+    assert [motion.end(goal, near, now_s) for now_s in (5.0, 7.9)] == [None, None]
+    wait = "3 s after the end of the motion (tolerance 0.2 rad)"
+    assert motion.end(goal, near, 8.0).message == f"joint gripper is still 0.210 rad from its goal {wait}"
 
 
 PATH = smooth_move({"shoulder_pan": (0.0, 1.0), "elbow_flex": (0.0, -0.5)}, 2.0)

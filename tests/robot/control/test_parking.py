@@ -110,7 +110,8 @@ def test_a_way_that_begins_elsewhere_is_not_played(rig: ArmRig, caplog: pytest.L
     [
         (KeepParking(None), "no way to the rest pose is known"),
         (Stream(1, ("shoulder_pan",)), "no way back"),
-        (KeepParking(way_to_rest(PARKING_TIMEOUT_S + 1.0)), "above the limit"),
+        (KeepParking(way_to_rest(15.1)), "would take 15.1 s, above the limit"),
+        (KeepParking(way_to_rest(0.3)), "rad/s, above its limit of"),
         (ChangePace(speed_factor=0.0), "the speed factor is 0"),
         (KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, -0.011))), "(tolerance 0.01 rad)"),
         (ChangePace(speed_factor=0.05), f"not at its rest pose after {PARKING_TIMEOUT_S:g} s"),
@@ -217,6 +218,13 @@ def test_a_server_that_comes_back_while_the_arm_brakes_or_parks_finds_it_holding
     rig.run(6.0)
     assert rig.mode is Mode.HOLDING
     assert distance_to_rest(rig) > 0.3
+
+
+def test_a_relaxed_arm_is_not_parked(rig: ArmRig) -> None:
+    assert rig.order(Order.RELAX).done
+    lose_server(rig)
+    until_ended(rig, 0.1)
+    assert rig.outcomes == []
 
 
 def test_a_fault_on_the_way_ends_parking(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:

@@ -7,7 +7,8 @@ import pytest
 from robot.control.loop import hardware_opener
 from robot.control.pacing import PERIOD_S, Pacer, SimulationClock
 from robot.hardware.config import EmulatedConfig
-from robot.messages import Execute, Mode, Order, Outcome, PauseSimulation, Shutdown, Stop
+from robot.messages import ArmState, Execute, Mode, Order, Outcome, PauseSimulation, Shutdown, Stop
+from robot.physics.bodies import Body, BodyShape, SetBodies
 from tests.helpers.arm_rig import CALIBRATION, STEPS_A_TICK, ArmRig
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move
@@ -64,6 +65,11 @@ def moving() -> Simulation:
 
 def test_a_motion_stands_still_goes_on_tick_by_tick_and_ends_well_later() -> None:
     moving = paused_in_motion(physics=True)
+    level = (0.0, 0.0, 0.0, 1.0)
+    cube = Body("cube", (BodyShape("box", (0.01, 0.01, 0.01), (0.0, 0.0, 0.0), level),), (0.3, 0.3, 0.1), level, True)
+    moving.supervisor.handle(SetBodies(3, (cube,)))
+    moving.tick(3)
+    assert [state.bodies.version for state in moving.sent if isinstance(state, ArmState) and state.bodies] == [3]
     world, clock_s = moving.supervisor.arm.hardware.world, moving.clock()
     before = world.data.qpos.tolist()
     moving.tick(200)

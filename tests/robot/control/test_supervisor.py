@@ -9,6 +9,7 @@ import pytest
 from robot.control.cycle import ControlCycle
 from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.supervisor import arm_health, arm_state
+from robot.errors import PortError
 from robot.faults import FaultCode
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
 from robot.hardware.feetech.registers import Register
@@ -119,8 +120,26 @@ def test_an_arm_reports_a_missing_servo_and_comes_up_with_it(
     rig.execute(PAN)
     assert rig.outcomes == [Outcome.REFUSED]
     assert rig.ended[0].message.startswith("the servos are still being checked: no answer from elbow_flex (id 3)")
+    rig.until(lambda: len(lines(caplog, "checking the servos: ")) > len(checked_s))
+    assert rig.refused(Order.ENABLE) == "the servos are still being checked"
     emulator.command(online=[3])
     rig.until_mode(Mode.HOLDING)
+
+
+def test_an_arm_whose_joints_cannot_be_read_for_two_seconds_is_refused_and_a_port_that_is_lost_is_no_refusal(
+    emulator: SteppedEmulator, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig = ArmRig(emulator)
+    rig.supervisor.arm.hardware.read = lambda: None
+    rig.run(1.9)
+    assert not lines(caplog, "checking the servos")
+    rig.run(0.3)
+    assert lines(caplog, "checking the servos: not every servo can be read")
+    rig.connect()
+    rig.tick()
+    emulator.port.unplug()
+    with pytest.raises(PortError):
+        max(rig.supervisor.work() for _ in range(10))
 
 
 def test_relaxing_stops_the_motion_first_refuses_others_and_ends_verified(moving: ArmRig) -> None:
@@ -217,7 +236,7 @@ def test_a_silent_servo_is_a_fault_that_goes_when_it_answers_again(emulator: Ste
     moving.until_mode(Mode.FAULT)
     assert moving.fault_code == "servo_silent"
     assert moving.outcomes == [Outcome.BUS_LOST]
-    assert not moving.order(Order.RESET_FAULT).done
+    assert moving.refused(Order.RESET_FAULT) == "the servo of joint elbow_flex (id 3) does not answer"
     emulator.command(online=[3])
     moving.run(0.2)
     assert moving.order(Order.RESET_FAULT).done
@@ -388,6 +407,13 @@ def test_at_its_end_the_arm_is_left_as_configured(start_rig: Start, end: EndStat
     assert rig.torque() == torque
 
 
+def test_servos_that_hold_are_relaxed_also_where_the_end_comes_before_they_are_checked(start_rig: Start) -> None:
+    following = ArmRig(start_rig().emulator, on_exit=EndState.RELAX)
+    following.supervisor.handle(Shutdown())
+    following.until(following.supervisor.finished)
+    assert following.torque() == [0] * 6
+
+
 def end_starved(rig: ArmRig, tick_s: float) -> None:
     """Bring the arm to its end on a machine on which each tick, and a step of a sequence, takes so long."""
     rig.supervisor.handle(Shutdown())
@@ -425,12 +451,16 @@ def test_an_arm_that_is_not_relaxed_within_5_s_of_ticks_is_left(
     start_rig: Start, caplog: pytest.LogCaptureFixture
 ) -> None:
     rig = start_rig(on_exit=EndState.RELAX)
+    for servo in range(1, 7):
+        rig.bus.write(servo, Register.TORQUE_ENABLE, 0)
     rig.supervisor.handle(Shutdown())
-    while not rig.supervisor.finished():
+    for _ in range(501):
+        assert not rig.supervisor.finished()
         # No sequence gets a step.
         tick_by(rig, 1, 1)
+    assert rig.supervisor.finished()
     (line,) = lines(caplog, "end state")
-    assert "(relax) after 5 s, in which it had 501 ticks; the process ends: torque is on at " in line
+    assert "(relax) after 5 s, in which it had 501 ticks; the process ends: torque is off at every joint" in line
 
 
 @pytest.mark.parametrize("end", [EndState.RELAX, EndState.HOLD])

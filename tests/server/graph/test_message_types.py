@@ -1,11 +1,7 @@
-import asyncio
-
 import pytest
 
-from protocol import messages
 from protocol.errors import InterfaceError, MessageError
 from protocol.publication import LARGE_BYTES
-from protocol.registry import Registry
 from server.graph.message_types import (
     BYTES_AT_ONCE,
     FREE_VALUES,
@@ -82,21 +78,3 @@ def test_a_message_grows_by_what_came_and_a_little_no_more() -> None:
     longer = ReceivedMessage({"poses": [{}] * elements}, 7)
     longer.complete(STRICT, POSES)
     assert len(STRICT.complete(POSES, longer)["poses"]) == elements
-
-
-async def test_types_are_compiled_when_there_is_time_and_the_event_loop_goes_on() -> None:
-    types = MessageTypes(Registry.load())
-    names = ("moveit_msgs/action/MoveGroup_Goal", "moveit_msgs/action/MoveGroup_Result")
-    compiled_before = messages._message_shape.cache_info().misses
-    types.compile_later(*names)
-    assert messages._message_shape.cache_info().misses == compiled_before
-    compiling, turns = asyncio.create_task(types.compile_waiting()), 0
-    while not compiling.done():
-        await asyncio.sleep(0)
-        turns += 1
-    assert turns > 2 * len(names)
-    compiled = messages._message_shape.cache_info().misses
-    assert compiled >= compiled_before + len(names)
-    for name in names:
-        types.complete(name, {})
-    assert messages._message_shape.cache_info().misses == compiled

@@ -86,7 +86,7 @@ class Streaming:
         resting = bool(self._ending) or self._silent
         target = self._velocity_rad_s * (0.0 if resting else min(max(rate, 0.0), fastest))
         # All joints slow down alike, so that the tip keeps its direction.
-        peak_share = float(np.max(np.abs(target) / self._max_velocity, initial=0.0))
+        peak_share = float(np.max(np.abs(target) / self._max_velocity))
         self._tracking.set_target(target * (self._speed_limit / max(peak_share, self._speed_limit)))
         return self._tracking.advance(elapsed_s)
 
@@ -201,7 +201,7 @@ class Motion:
         self._tolerance_rad = wanted[self.columns]
         self._max_acceleration = bounds.max_acceleration[self.columns]
         shares = command.trajectory.peak_speed_rad_s / bounds.max_velocity[self.columns]
-        self._peak_share = float(shares.max(initial=0.0))
+        self._peak_share = float(shares.max())
         self.limit_speed(speed_limit)
         self._path_time_s = 0.0
         self._rate = self.ceiling = self._fastest  # rate now, and the fastest allowed, in (0, 1]

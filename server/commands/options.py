@@ -170,6 +170,11 @@ def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
         return ExitCode.USAGE
     except (RobotError, ServerError) as error:
         terminal.say(f"armbridge: {error}")
+    except OSError as error:
+        # A path that is too long, or leads through a folder of somebody else.
+        if error.filename is None:
+            raise
+        terminal.say(f"armbridge: {str(error.filename)[:200]}: {error.strerror}")
     except KeyboardInterrupt:
         terminal.say("armbridge: stopped")
     return ExitCode.FAILED

@@ -130,10 +130,10 @@ class Client:
         self.auth = ClientAuth(context, self._authorizer)
         self.inbox = Inbox(self, context)
 
-    def receive_frame(self, frame: str | bytes) -> None:
+    def receive_frame(self, frame: str | bytes, epoch: int | None = None) -> None:
         """Take a frame, to be carried out in the client's turn; nothing in it can raise."""
         self.received_messages += 1
-        self.inbox.receive_frame(frame)
+        self.inbox.receive_frame(frame, epoch)
 
     def leave(self) -> None:
         self.inbox.close()

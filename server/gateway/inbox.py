@@ -103,12 +103,12 @@ class Inbox:
         if self._may_go_on():
             self._turns.add(self)
 
-    def receive_frame(self, frame: str | bytes) -> None:
-        """Take a frame; nothing in it can raise."""
+    def receive_frame(self, frame: str | bytes, epoch: int | None = None) -> None:
+        """Take a frame that arrived in a stop epoch, None for the present one; nothing in it can raise."""
         if self._closed:
             return
         until_s = self._turns.until_s() if self.empty and not self._session.congested else None
-        received = Waiting(frame, len(frame), STOP_EPOCHS.present)
+        received = Waiting(frame, len(frame), STOP_EPOCHS.present if epoch is None else epoch)
         if len(frame) >= LONG_FRAME_BYTES:
             if until_s is not None and isinstance(frame, str) and self.client.identified and is_light(frame):
                 received.light = True
@@ -116,7 +116,7 @@ class Inbox:
             else:
                 self._add_frame(received, frame)
         elif until_s is not None:
-            if not (isinstance(frame, str) and self.client.publish_strictly(frame)):
+            if not self._published(received):
                 self._begin(received, frame, until_s)
         elif not self.client.identified or self._unread_frames or not _may_be_urgent(frame):
             self._add_frame(received, frame)
@@ -154,6 +154,11 @@ class Inbox:
         elif self._holds_reader and not full:
             self._transport.release_reading()
         self._holds_reader = full
+
+    def _published(self, waiting: Waiting) -> bool:
+        """Publish what a frame says in the quick way, which takes it for one of the present epoch."""
+        frame, present = waiting.item, waiting.epoch == STOP_EPOCHS.present
+        return present and isinstance(frame, str) and self.client.publish_strictly(frame)
 
     def _begin(self, received: Waiting, frame: str | bytes, until_s: float) -> None:
         items = self.client.read(frame)
@@ -237,7 +242,7 @@ class Inbox:
                 self._run(lambda: self._session.receive_frame(item, self._clock()), first)
             else:
                 self._unread_frames -= 1
-                if not (isinstance(item, str) and self.client.publish_strictly(item)):
+                if not self._published(first):
                     self._put_first(_read_of(first, self.client.read(item)))
         elif isinstance(item, Packed):
             self._run(lambda: [self._session.unpack(item)], first)

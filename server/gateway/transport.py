@@ -22,6 +22,7 @@ from protocol.codecs import bson, json
 from protocol.errors import FrameError, one_line
 from protocol.framing import StreamSplitter
 from protocol.publication import EncodedMessage
+from robot.stop_epochs import STOP_EPOCHS
 from server.gateway.admission import ConnectionLimiter, ConnectionSlot
 from server.gateway.http import HttpResponse
 from server.gateway.settings import ServerSettings
@@ -94,6 +95,8 @@ class Transport(asyncio.Protocol):
         self._reading_paused = False
         # The next turn is to come by itself.
         self._turn_waits = False
+        # Stop epoch in which the bytes arrived that wait to be handed over.
+        self._epoch = STOP_EPOCHS.present
         self._at_eof = False
         # Nothing more is read: the client has sent its last, or the connection ends.
         self._read_all = asyncio.Event()
@@ -228,6 +231,7 @@ class Transport(asyncio.Protocol):
             self.end_out_of_memory()
             return
         if not self._turn_waits:
+            self._epoch = STOP_EPOCHS.present
             self._take_turn()
 
     def eof_received(self) -> bool:
@@ -249,7 +253,11 @@ class Transport(asyncio.Protocol):
                     self._go_on_reading()
                     return
                 if self._client is not None and not self._discards:
-                    self._client.receive_frame(frame)
+                    before = STOP_EPOCHS.present
+                    self._client.receive_frame(frame, self._epoch)
+                    if self._epoch == before:
+                        # Frames behind the client's own stop are later.
+                        self._epoch = STOP_EPOCHS.present
                 if time.monotonic() >= ends_s:
                     self._take_turn_later()
                     break

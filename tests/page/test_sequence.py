@@ -370,3 +370,5 @@ def test_a_program_ends_with_the_reason_when_a_leg_is_not_possible(
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 1
     assert "shoulder_link and lower_arm_link" in done.stderr
+    # A sentence, without a traceback.
+    assert len(done.stderr.splitlines()) == 1, done.stderr

@@ -57,6 +57,14 @@ def test_unknown_commands_and_options_are_usage_errors(capsys: pytest.CaptureFix
     assert said.splitlines()[-1] == "armbridge: error: --prot: unknown; did you mean --port?"
 
 
+@pytest.mark.parametrize("option", ["--robot", "--calibration"])
+def test_a_path_that_cannot_be_looked_at_is_one_line(capsys: pytest.CaptureFixture[str], option: str) -> None:
+    assert cli.main(["serve", option, "x" * 300]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("armbridge: ")
+    assert line.endswith("x: File name too long")
+
+
 # Sessions of zenoh whose callbacks never end; the interpreter's own end would abort for nearly every one.
 HELD_UP = """
 import threading, time, zenoh

@@ -30,6 +30,7 @@ async function startPage(): Promise<void> {
   takeTokenFromUrl();
   const services = createServices(serverUrl(location.href));
   const { connection, store, moveGroup, sceneEditor } = services;
+  connection.open();
   createPanel(services);
   subscribeTopics(connection, store);
   followCommands(connection, store);
@@ -43,7 +44,6 @@ async function startPage(): Promise<void> {
     resetAfterReconnect(store);
     fetchGoalHistory(connection, store).catch(() => undefined);
   });
-  connection.open();
   const canvas = document.querySelector<HTMLCanvasElement>("#view");
   exposeToConsole(store, canvas && startView(canvas, store, (...pose) => void sceneEditor.move(...pose)));
 }

@@ -69,6 +69,9 @@ def test_of_several_joints_the_farthest_from_its_goal_is_named_among_those_with_
     fault = guards().check(GOAL, reading([0.0, 0.1, -0.2, 0.1, 0.0, 0.3], temperature_c=hot), FULL, 0.0)
     assert (fault.code, fault.message) == (FaultCode.OVERHEATED, "joint elbow_flex is at 65 degC")
     assert never(temperature_c=64.9, age_s=0.1, voltage_v=4.5)
+    checked = guards()
+    faults = [checked.check(GOAL, reading(GOAL, temperature_c=each), FULL, 1.0) for each in (64.9, 65.0)]
+    assert [fault is None for fault in faults] == [True, False]
 
 
 BEARABLE = {

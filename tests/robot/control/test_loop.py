@@ -75,8 +75,8 @@ class SteppedChannel:
         if self.messages and self.messages[0][0] <= until_s:
             until_s = max(self.now_s, self.messages[0][0])
         self.now_s, self.looks = until_s, self.looks + 1
-        if self.now_s > 60.0 or self.looks > 10_000:
-            raise TimeoutError("the loop never ends")
+        if timeout_s < 0.0 or self.now_s > 60.0 or self.looks > 10_000:
+            raise TimeoutError("the loop never ends, or waits for less than no time")
         due = [message for at_s, message in self.messages if at_s <= until_s]
         del self.messages[: len(due)]
         return due
@@ -162,6 +162,13 @@ def test_a_tick_is_every_hundredth_second_or_skipped_at_rest_and_at_once_for_a_m
     # Every other tick, after half a second at rest every fifth.
     assert np.diff(ticked_s[over : over + 26]) == pytest.approx(0.02)
     assert np.diff(ticked_s[over + 26 :]) == pytest.approx(0.05)
+
+
+def test_sequences_take_all_steps_between_two_ticks_that_there_is_time_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    channel = SteppedChannel(monkeypatch, ArmConfig(ROBOT, EmulatedConfig(CALIBRATION)), (2.0, Shutdown()))
+    ticks_of(channel, monkeypatch)
+    # With one step a tick it takes 1.7 s.
+    assert min(at_s for at_s, state in channel.kept(ArmState) if state.mode is Mode.HOLDING) < 0.7
 
 
 def test_when_every_tick_is_late_sequences_go_on_and_a_simulated_arm_is_slower(monkeypatch: pytest.MonkeyPatch) -> None:

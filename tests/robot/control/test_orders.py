@@ -103,6 +103,16 @@ def test_the_reset_of_a_relaxed_arm_switches_off_what_is_driven_all_the_same(rig
     assert rig.torque() == [0] * len(IDS)
 
 
+def test_a_reset_lets_no_joint_go_that_is_not_overloaded(emulator: SteppedEmulator) -> None:
+    rig = ArmRig(emulator).started()
+    emulator.command(status={"4": int(StatusFlag.VOLTAGE)})
+    rig.run(0.05)
+    latch(rig, FaultCode.STALLED)
+    reset = rig.begin(Order.RESET_FAULT)
+    rig.until(lambda: rig.answer(reset) is not None or rig.torque() != [1] * len(IDS))
+    assert (rig.mode, rig.torque()) == (Mode.HOLDING, [1] * len(IDS))
+
+
 def test_an_emergency_stop_that_holds_cuts_the_torque_of_a_relaxed_arm_and_leaves_one_that_is_not_checked_yet(
     emulator: SteppedEmulator,
 ) -> None:

@@ -221,6 +221,19 @@ def test_a_goal_that_waits_when_another_clients_stop_comes_moves_nothing(world: 
     assert "/goal" not in world.done[world.done.index("other /stop") :]
 
 
+def test_a_frame_that_waits_when_another_clients_stop_comes_is_not_published_strictly(
+    world: World, client: Handler, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client.publish("/a", "/a", "/a")
+    client.publish("/goal")
+    world.turn()
+    world.clock.advance(ROUND_S)
+    world.client("other ").publish("/stop")
+    monkeypatch.setattr(client, "publish_strictly", lambda _frame: pytest.fail("it is as old as the goal"))
+    world.run()
+    assert world.done[-1] == "no /goal"
+
+
 def test_a_stop_at_the_end_of_a_long_frame_goes_ahead_of_it(world: World, client: Handler) -> None:
     client.publish(*["/goal"] * 999, "/stop")
     while not world.threads.jobs:

@@ -15,10 +15,12 @@ from websockets.asyncio.client import ClientConnection, connect
 from websockets.frames import Frame, Opcode
 
 from harness.waiting import until
-from protocol.publication import EncodedMessage
+from protocol.publication import EncodedMessage, PublishedMessage
 from protocol.publication import Frame as Payload
+from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
+from server.arrival import arrival_epoch
 from server.gateway import listener as listener_module
 from server.gateway import transport, websocket
 from server.gateway.connection import MAX_UNKNOWN_BYTES, Connection
@@ -27,7 +29,7 @@ from server.gateway.settings import ServerSettings
 from server.gateway.transport import OUT_OF_MEMORY, WRITE_LIMIT_BYTES
 from server.gateway.websocket import WebSocket
 from server.graph.node import Node
-from server.graph.topics import Graph
+from server.graph.topics import Graph, Subscriber
 from tests.helpers.gateway import (
     TIMEOUT_S,
     UPGRADE,
@@ -103,6 +105,29 @@ async def test_a_flood_is_carried_out_in_order_however_it_is_cut_and_however_lon
             link.server.data_received(flood[begin : begin + piece_bytes])
         assert await link.received(len(numbers)) == numbers
         assert not link.server._data
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["another client's", "its own"])
+async def test_what_waits_for_its_turn_when_a_stop_comes_is_older_unless_it_came_behind_the_clients_own(
+    monkeypatch: pytest.MonkeyPatch, *, own: bool
+) -> None:
+    monkeypatch.setattr(transport, "TURN_S", 0.0)
+    async with linked() as link:
+        epochs: list[int] = []
+
+        def hear(published: PublishedMessage) -> None:
+            epochs.append(arrival_epoch())
+            if own and published.msg["data"] == "1":
+                STOP_EPOCHS.begin()
+
+        link.graph.subscribe(TALKER, "/t", "std_msgs/String", Subscriber(hear))
+        before = STOP_EPOCHS.present
+        link.server.data_received(flood_of(["1", "2", "3"]))
+        assert len(epochs) == 1
+        if not own:
+            STOP_EPOCHS.begin()
+        await until(lambda: len(epochs) == 3)
+        assert epochs == [before, before + own, before + own]
 
 
 @pytest.mark.parametrize("piece_bytes", [1, 10_000])

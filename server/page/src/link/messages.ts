@@ -148,10 +148,7 @@ export function twistStamped(frame_id: string, shares: TipVelocity, [linear, ang
 }
 
 /** Return the time of this machine, by which the server sees how long a command was under way. */
-function now(): Time {
-  const ms = Date.now();
-  return { sec: Math.floor(ms / 1000), nanosec: (ms % 1000) * 1e6 };
-}
+const now = (ms = Date.now()): Time => ({ sec: Math.floor(ms / 1000), nanosec: (ms % 1000) * 1e6 });
 
 /** Build control_msgs/JointJog of fractions of the joint speed, -1 to 1. */
 export function jointJog(velocities: JointValues): object {

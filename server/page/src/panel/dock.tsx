@@ -66,7 +66,7 @@ function Tab({ panel: { id, icon }, press }: { panel: Panel; press: () => void }
   );
 }
 
-/** Panel as a card of the dock; its sections exist from the start, also while it is closed. */
+/** Panel as a card of the dock; its sections exist from its first opening or the first picture on, which would wait for those of all. */
 export function Card({ panel: { id, sections } }: { panel: Panel }): JSX.Element {
   const { store } = usePage();
   const { layout } = store.state;
@@ -78,6 +78,8 @@ export function Card({ panel: { id, sections } }: { panel: Panel }): JSX.Element
     (tab?.checkVisibility() ? tab : document.querySelector<HTMLElement>(".more > summary"))?.focus();
   };
   const shown = isOpen(layout, id);
+  const exists = useRef(false);
+  exists.current ||= shown || store.state.drawn;
   useEffect(() => void (shown && card.current?.dispatchEvent(new Event("panel-shown", { bubbles: true }))), [shown]);
   const heading = `title-${id}`;
   return (
@@ -91,7 +93,7 @@ export function Card({ panel: { id, sections } }: { panel: Panel }): JSX.Element
       </header>
       {/* Focusable, so that the keyboard scrolls it. */}
       <div class="panel" data-testid={`panel-${id}`} role="group" tabindex={0} aria-labelledby={heading}>
-        <Shown.Provider value={shown}>{sections.map((Each, index) => <Each key={index} />)}</Shown.Provider>
+        <Shown.Provider value={shown}>{exists.current && sections.map((Each, index) => <Each key={index} />)}</Shown.Provider>
       </div>
     </section>
   );

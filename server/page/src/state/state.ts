@@ -387,6 +387,8 @@ export interface State {
   layout: Layout;
   /** Commanded joint positions of the moment; empty while the server publishes none. */
   commanded_rad: JointValues;
+  /** True after the first picture of the arm, or where there can be none. */
+  drawn: boolean;
   tool_m: Point | null;
   tool_orientation: Orientation | null;
   collision_shapes: boolean;
@@ -455,6 +457,7 @@ export function emptyState(url: string): State {
     settings: { units: "deg", speed: 0.3 },
     layout: INITIAL_LAYOUT,
     commanded_rad: {},
+    drawn: false,
     tool_m: null,
     tool_orientation: null,
     collision_shapes: false,

@@ -96,8 +96,9 @@ function createHandles(viewer: Viewer, canvas: HTMLCanvasElement, drag: (draggin
 /** Marker of the target, dragged by its ball or by three arrows; without a target it is at the tool of the ghost or the arm. */
 export class TargetMarker implements SceneComponent {
   private readonly ball: THREE.Mesh<THREE.SphereGeometry, THREE.MeshBasicMaterial>;
-  private readonly arrows: TransformControls;
-  private readonly arrow_materials: readonly THREE.Material[];
+  // Made after the first picture, which they would delay.
+  private arrows: TransformControls | null = null;
+  private arrow_materials: readonly THREE.Material[] = [];
   private readonly has_hover = matchMedia("(hover: hover)");
   private moved = false;
   private measured: RobotModel | null = null;
@@ -105,20 +106,22 @@ export class TargetMarker implements SceneComponent {
 
   constructor(
     private readonly viewer: Viewer,
-    canvas: HTMLCanvasElement,
+    private readonly canvas: HTMLCanvasElement,
     private readonly store: PageStore,
     private readonly ghost: Ghost,
     private readonly robot: Robot,
   ) {
     const material = new THREE.MeshBasicMaterial({ transparent: true, opacity: BALL_OPACITY, depthTest: false });
     this.ball = new THREE.Mesh(new THREE.SphereGeometry(BALL_RADIUS_M, 20, 14), material);
-    this.arrows = createHandles(viewer, canvas, (dragging) => this.drag(dragging), () => this.dragged());
-    this.arrow_materials = offsetHandles(this.arrows);
-    this.arrows.attach(this.ball);
-    viewer.scene.add(this.ball);
   }
 
   update(state: State): void {
+    if (!state.drawn) return;
+    if (this.arrows === null) {
+      this.arrows = createHandles(this.viewer, this.canvas, (dragging) => this.drag(dragging), () => this.dragged());
+      this.arrow_materials = offsetHandles(this.arrows.attach(this.ball));
+      this.viewer.scene.add(this.ball);
+    }
     const at = this.place(state);
     const shown = at !== null && at.every(Number.isFinite) && isOpen(state.layout, "move");
     // A finger has no hover that could bring them.
@@ -127,15 +130,15 @@ export class TargetMarker implements SceneComponent {
     this.arrows.enabled = shown;
     this.arrows.getHelper().visible = shown;
     if (shown && !this.arrows.dragging) this.ball.position.set(...at);
-    if (shown) this.fitHandles();
+    if (shown) this.fitHandles(this.arrows);
   }
 
   /** Return true while the target is dragged, or an arrow is under the pointer. */
   isInHand(): boolean {
-    return this.arrows.dragging || this.arrows.axis !== null;
+    return this.arrows !== null && (this.arrows.dragging || this.arrows.axis !== null);
   }
 
-  private fitHandles(): void {
+  private fitHandles(arrows: TransformControls): void {
     const { arm, tip } = this.robot;
     if (arm !== this.measured) {
       this.measured = arm;
@@ -144,7 +147,7 @@ export class TargetMarker implements SceneComponent {
     const { camera } = this.viewer;
     const distance_m = camera.position.distanceTo(this.ball.position);
     const picture_m = 2 * distance_m * Math.tan((camera.fov * Math.PI) / 360);
-    this.arrows.setSize(handleLength_m(this.clearance_m, picture_m) / (ARROW_SHARE * picture_m));
+    arrows.setSize(handleLength_m(this.clearance_m, picture_m) / (ARROW_SHARE * picture_m));
   }
 
   setTheme(theme: Theme): void {

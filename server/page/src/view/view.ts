@@ -33,7 +33,7 @@ const SHADOW_PERIOD_MS = 100;
 // Parts of the state that the view draws, beside the joints.
 const DRAWN: readonly (keyof State)[] = [
   "urdf", "robot", "group", "plan", "target", "selection", "objects", "selected_object", "editing", "region", "identity",
-  "layout", "sequence", "classroom", "collision_shapes", "commissioning", "joint_in_hand",
+  "layout", "sequence", "classroom", "collision_shapes", "commissioning", "joint_in_hand", "drawn",
 ];
 
 /** Start the 3D view on a canvas; null, with a notice to the user, where the browser cannot draw in 3D. */
@@ -42,6 +42,7 @@ export function startView(canvas: HTMLCanvasElement, store: PageStore, moved: Ob
     return new SceneView(canvas, store, moved);
   } catch (error) {
     setNotice(store, "view:webgl", t("picture.no_3d", { reason: (error as Error).message }));
+    store.set({ drawn: true });
     return null;
   }
 }
@@ -89,7 +90,6 @@ export class SceneView {
     this.environment = new Environment(scene);
     this.thumbnails = new Thumbnails(viewer, this.robot, store, this.environment.sky);
     this.components = [this.robot, arm, path, ghost, this.target, objects, markers, swept, region];
-    this.applyTheme();
     canvas.addEventListener("webglcontextlost", () => setNotice(store, "view:graphics", t("picture.lost")));
     canvas.addEventListener("webglcontextrestored", () => setNotice(store, "view:graphics", ""));
     canvas.addEventListener("dblclick", () => this.resetCamera());
@@ -159,7 +159,7 @@ export class SceneView {
     if (figures.arm_ms === 0) {
       figures.arm_ms = now_ms;
       // The first picture does without the shadow, whose programs take long to compile in software.
-      this.viewer.request();
+      this.store.set({ drawn: true });
     }
     if (this.received_ms === null) return;
     Object.assign(figures, { joint_stamp_s: this.shown_joints.stamp, age_ms: now_ms - this.received_ms });

@@ -113,7 +113,7 @@ async def test_a_template_ends_with_its_server_and_a_copy_is_in_a_session_of_its
     await template.close()
     await until(lambda: not runs(parent) and not runs(made.child.pid))
     # Nor is there another for what still waits for a copy.
-    assert [type(error) for error in await waiting] == [OSError, OSError]
+    assert [isinstance(error, OSError) for error in await waiting] == [True, True]
 
 
 @pytest.mark.parametrize(

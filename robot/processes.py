@@ -406,7 +406,7 @@ class Template:
             try:
                 async with asyncio.timeout(self._timeout_s):
                     return await running.copy(self._reserve)
-            except BaseException as error:
+            except (TimeoutError, asyncio.CancelledError) as error:
                 # What it may still answer would be taken for the next answer.
                 await running.child.kill()
                 if isinstance(error, TimeoutError):

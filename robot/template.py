@@ -56,6 +56,7 @@ def serve_copies(channel: Channel) -> None:
     readable.register(channel, select.POLLIN)
     # The process id of each copy, by the end of a pipe that it holds open as long as it runs.
     copies: dict[int, int] = {}
+    template = os.getpid()
     while not channel.closed:
         for descriptor, _ in readable.poll():
             if descriptor in copies:
@@ -66,13 +67,8 @@ def serve_copies(channel: Channel) -> None:
                 continue
             for _ in channel.receive(timeout_s=0.0):
                 end, held = os.pipe()
-                template = os.getpid()
                 if (pid := os.fork()) == 0:
-                    for each in (end, *copies):
-                        os.close(each)
-                    channel.move_to(channel.passed.popleft())
-                    os.setsid()
-                    end_with_parent(template)
+                    _be_copy(channel, template, (end, *copies))
                     return
                 os.close(held)
                 os.close(channel.passed.popleft())
@@ -82,8 +78,16 @@ def serve_copies(channel: Channel) -> None:
     os._exit(0)
 
 
-def end_with_parent(parent: int) -> None:
+def _be_copy(channel: Channel, template: int, of_template: tuple[int, ...]) -> None:
+    for each in of_template:
+        os.close(each)
+    channel.move_to(channel.passed.popleft())
+    os.setsid()
+    end_with_parent(template)
+
+
+def end_with_parent(parent: int, number: signal.Signals = signal.SIGKILL) -> None:
     """Have the kernel end this process with its parent: a process that hangs never sees its socket close."""
-    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, number)
     if os.getppid() != parent:
         os._exit(1)

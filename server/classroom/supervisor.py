@@ -4,7 +4,6 @@ This process has no threads and no event loop, so that a fork of it is whole at 
 of a child (SIGCHLD), or its own (SIGINT, SIGTERM). What it has loaded before the first fork is in memory once for all.
 """
 
-import ctypes
 import gc
 import logging
 import os
@@ -15,11 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from robot.processes import ForkedProcess, RestartDelay
+from robot.template import end_with_parent
 
 log = logging.getLogger("armbridge.classroom")
-
-# Of linux/prctl.h.
-PR_SET_PDEATHSIG = 1
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD)
 
@@ -78,7 +75,7 @@ class Member:
             os.kill(self._process.pid, number)
 
     def _be(self) -> None:
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+        end_with_parent(os.getppid(), signal.SIGTERM)
         for number in SIGNALS:
             signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_SETMASK, ())

@@ -146,3 +146,13 @@ async def test_copies_are_made_where_all_other_descriptors_are_used_up(farm: Far
         second = await farm.copy(template)
     assert await second.answer("there?") == "there?"
     assert await first.answer("there?") == "there?"
+
+
+async def test_a_copy_for_which_no_descriptor_is_left_costs_no_other(farm: Farm) -> None:
+    template = farm.template()
+    first = await farm.copy(template)
+    template._reserve.close()
+    with no_descriptors_left(), pytest.raises(OSError, match="Too many open files"):
+        await template.copy()
+    assert await first.answer("there?") == "there?"
+    assert await (await farm.copy(template)).answer("known") == "the robot"

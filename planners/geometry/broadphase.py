@@ -128,20 +128,23 @@ class Broadphase:
         if not self._collide(q, self._near, self._vicinity):
             return []
         found = [(pair, beyond_m + float(margin_m[pair])) for pair, beyond_m in _taken(self._near_results)]
-        return [(pair, self._clearance_m(q, pair) if pair in self._triangles else bound) for pair, bound in found]
+        if self._triangles.isdisjoint(pair for pair, _ in found):
+            return found
+        self._place_alone(q)
+        return [(pair, self._clearance_m(pair, float(margin_m[pair]))) for pair, _ in found]
 
     def near_among(
         self, q: Vector, pairs: Iterable[int], margin_m: Sequence[float] | Vector
     ) -> list[tuple[int, float]]:
         """As :meth:`near`, of some pairs only, with a margin each: a tenth of the time for a few."""
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, self._joints.positions(q))
-        geometry, data, found = self._geometry, self._single, []
-        for pair, margin in zip(pairs, margin_m, strict=True):
-            self._single_requests[pair].security_margin = self._least_m[pair] + margin
-            if pin.computeCollision(geometry, data, pair):
-                clearance_m = self._single_results[pair].distance_lower_bound + margin
-                found.append((pair, self._clearance_m(q, pair) if pair in self._triangles else clearance_m))
-        return found
+        self._place_alone(q)
+        clearances_m = [(pair, self._clearance_m(pair, each)) for pair, each in zip(pairs, margin_m, strict=True)]
+        return [found for found, each in zip(clearances_m, margin_m, strict=True) if found[1] < each]
+
+    def clearance_m(self, q: Vector, pair: int, margin_m: float) -> float:
+        """Return the clearance of a pair, or the margin where it is wider; see :meth:`near` [m]."""
+        self._place_alone(q)
+        return self._clearance_m(pair, margin_m)
 
     def place(self, q: Vector) -> None:
         """Place the shapes at a configuration, to which the methods below refer."""
@@ -182,10 +185,18 @@ class Broadphase:
         """Return the pose of a joint in the root link's frame."""
         return self._data.oMi[joint]
 
-    def _clearance_m(self, q: Vector, pair: int) -> float:
-        """Return the clearance of a pair with triangles: the first of these in contact ends a check with a margin."""
+    def _place_alone(self, q: Vector) -> None:
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, self._joints.positions(q))
-        self._single_requests[pair].security_margin = self._least_m[pair]
+
+    def _clearance_m(self, pair: int, margin_m: float) -> float:
+        request = self._single_requests[pair]
+        request.security_margin = self._least_m[pair] + margin_m
+        if not pin.computeCollision(self._geometry, self._single, pair):
+            return margin_m
+        if pair not in self._triangles:
+            return self._single_results[pair].distance_lower_bound + margin_m
+        # The first triangle within the margin ends the check: others may be nearer.
+        request.security_margin = self._least_m[pair]
         return 0.0 if pin.computeCollision(self._geometry, self._single, pair) else UNKNOWN_M
 
     def _distance(self, pair: int) -> coal.DistanceResult:

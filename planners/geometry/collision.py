@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -214,7 +214,9 @@ class CollisionModel:
             return True
         return self._any_touches(self._touching(q), allowed, refined)
 
-    def near(self, q: Vector, margin_m: Iterable[float], among: Sequence[int] | None = None) -> list[tuple[int, float]]:
+    def near(
+        self, q: Vector, margin_m: Sequence[float] | Vector, among: Sequence[int] | None = None
+    ) -> list[tuple[int, float]]:
         """Return the pairs of hulls nearer than clearance and margin [m], and their distance beyond the clearance [m].
 
         ``margin_m`` has one for each pair ``among`` some, or of all. Pairs that touch have a distance of 0 or less.
@@ -227,32 +229,25 @@ class CollisionModel:
         """Return the pairs of some pairs of names."""
         return [pair for pair, each in enumerate(self._names) if each in names]
 
-    def excepted(self, pair: int, allowed: Mapping[frozenset[str], float], refined: RefinedPairs) -> bool:
-        """Return true if more than the hulls of a pair of :meth:`near` decides."""
-        return self._names[pair] in allowed or self._names[pair] in refined
+    def clearance_m(self, q: Vector, pair: int, margin_m: float) -> float:
+        """Return how much nearer the hulls of a pair could come, 0 or less in contact, at most ``margin_m`` [m]."""
+        return self._broadphase.clearance_m(q, pair, margin_m)
 
-    def clearance_m(
-        self,
-        q: Vector,
-        pair: int,
-        margin_m: float,
-        allowed: Mapping[frozenset[str], float],
-        refined: RefinedPairs,
+    def excepted_clearance_m(
+        self, q: Vector, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], refined: RefinedPairs
     ) -> float:
-        """Return by how much a pair that is excepted could come nearer, as far as known; 0 or less in contact [m].
-
-        No more than ``margin_m`` is asked for.
-        """
+        """As :meth:`clearance_m`, of a pair with an allowed overlap or to be refined."""
+        clearance_m, names = self._broadphase.clearance_m(q, pair, margin_m), self._names[pair]
+        if clearance_m == margin_m:
+            return margin_m
         self._broadphase.place(q)
-        names = self._names[pair]
-        by_hulls_m = self._broadphase.distance_m(pair)
         if names in allowed:
-            by_hulls_m = allowed[names] + DEPTH_ACCURACY_M - self._overlap_m(pair)
-        if by_hulls_m >= COARSE_SHARE * margin_m or names not in refined:
-            return by_hulls_m
+            clearance_m = min(margin_m, allowed[names] + DEPTH_ACCURACY_M - self._overlap_m(pair))
+        if clearance_m >= COARSE_SHARE * margin_m or names not in refined:
+            return clearance_m
         if self._apart(pair, margin_m):
             return margin_m
-        return by_hulls_m if by_hulls_m > 0.0 or not self._apart(pair, 0.0) else UNKNOWN_M
+        return clearance_m if clearance_m > 0.0 or not self._apart(pair, 0.0) else UNKNOWN_M
 
     def colliding_pairs(self, q: Vector, refined: RefinedPairs | None = None) -> list[CollidingPair]:
         """Return every pair that overlaps, deepest first; by parts for ``refined`` pairs, for all where it is None."""
@@ -360,7 +355,7 @@ class CollisionModel:
     ) -> bool:
         """Return true if any of the pairs whose hulls touch may not."""
         # A check of parts takes up to a hundred times as long as this.
-        if not all(self.excepted(pair, allowed, refined) for pair in pairs):
+        if any(self._names[pair] not in refined and self._names[pair] not in allowed for pair in pairs):
             return True
         return not all(self._is_allowed(pair, allowed, refined) for pair in pairs)
 

@@ -56,6 +56,7 @@ class JointSpace:
         self._refined = set(allowed)
         for q in (start_q, *also_free):
             self._refined |= collision.hull_only_pairs(q)
+        self._excepted = set(collision.pairs_of(self._refined))
         self._holds = holds
         self._should_stop = should_stop
         self.checks = 0
@@ -98,9 +99,9 @@ class JointSpace:
             raise StoppedError
         self._q[self._columns] = point
         found = self._collision.near(self._q, margin_m[:-1])
-        if self._allowed or self._refined:
-            found = [(pair, self._by_parts(pair, point, clear, float(margin_m[pair]))) for pair, clear in found]
-            found = [each for each in found if each[1] < margin_m[each[0]]]
+        for i, (pair, _) in enumerate(found) if self._excepted else ():
+            if pair in self._excepted:
+                found[i] = pair, self._by_parts_m(pair, point, float(margin_m[pair]))
         if self._holds is not None:
             found.append((CONDITION, self._clearance_of_condition()))
         return found
@@ -111,17 +112,16 @@ class JointSpace:
         self._q[self._columns] = point
         if pair == CONDITION:
             return self._clearance_of_condition()
-        found = self._collision.near(self._q, (margin_m,), (pair,))
-        return self._by_parts(pair, point, found[0][1], margin_m) if found else margin_m
+        if pair in self._excepted:
+            return self._by_parts_m(pair, point, margin_m)
+        return self._collision.clearance_m(self._q, pair, margin_m)
 
-    def _by_parts(self, pair: int, point: Vector, by_hulls_m: float, margin_m: float) -> float:
-        """Return a pair's clearance where more than its hulls may decide."""
-        if not self._collision.excepted(pair, self._allowed, self._refined):
-            return by_hulls_m
+    def _by_parts_m(self, pair: int, point: Vector, margin_m: float) -> float:
+        # Parts take long.
         if self._should_stop():
             raise StoppedError
         allowed = self._allowed_near(np.abs(point - self.start))
-        return self._collision.clearance_m(self._q, pair, margin_m, allowed, self._refined)
+        return self._collision.excepted_clearance_m(self._q, pair, margin_m, allowed, self._refined)
 
     def _clearance_of_condition(self) -> float:
         return CONDITION_STEP_M if self._holds is None or self._holds(self._q) else 0.0
@@ -131,6 +131,7 @@ class JointSpace:
         self._q[self._columns] = point
         new = self._collision.hull_only_pairs(self._q) - self._refined
         self._refined |= new
+        self._excepted.update(self._collision.pairs_of(new))
         return bool(new)
 
     def free_by_parts(self, point: Vector) -> bool:

@@ -114,9 +114,10 @@ class Broadphase:
             request.gjk_tolerance = GJK_TOLERANCE
         self._least_m = (CONTACT_M + apart_m).tolist()
 
-    def touches(self, q: Vector) -> bool:
-        """Return true if shapes of any pair touch, or are nearer than they may be."""
-        return self._collide(q, self._any, self._any_contact)
+    def touches(self, q: Vector) -> int | None:
+        """Return a pair whose shapes touch, or are nearer than they may be; None if there is none."""
+        callback = self._any_contact[1]
+        return callback.collisionPairIndex if self._collide(q, self._any, self._any_contact) else None
 
     def near(self, q: Vector, margin_m: Vector) -> list[tuple[int, float]]:
         """Return the pairs nearer than they may be and a margin, shape (pairs,) [m], with their clearances [m].

@@ -68,16 +68,13 @@ def first_contact(space: JointSpace, curve: Cubics, step_m: float) -> float | No
     places = np.interp(np.linspace(0.0, travel_m[-1], 2 * looks + 1), travel_m, np.arange(len(travel_m)))
     pieces = np.minimum(places.astype(np.int64), len(curve.coefficients) - 1)
     before, after = curve.travelled_rad[pieces], curve.travelled_rad[pieces + 1]
-    moved_m = np.diff(before + (places - pieces)[:, np.newaxis] * (after - before), axis=0) @ space.approach_m_per_rad.T
-    margins_m = np.maximum(moved_m[::2], moved_m[1::2])
-    ways: dict[int, list[float]] = {}
-    for look, (first, place, last) in enumerate(zip(places[:-2:2], places[1::2], places[2::2], strict=True)):
-        contacts = []
-        point = curve.point(int(pieces[2 * look + 1]), float(place - pieces[2 * look + 1]))
-        for pair, clearance_m in space.near(point, margins_m[look]):
-            if pair not in ways:
-                ways[pair] = (curve.travelled_rad @ space.approach_m_per_rad[pair]).tolist()
-            contacts.append(_first_of_pair(space, curve, pair, ways[pair], (first, place, last), clearance_m, step_m))
+    moved_rad = np.diff(before + (places - pieces)[:, np.newaxis] * (after - before), axis=0)
+    for i in range(1, len(places), 2):
+        margin_m = (moved_rad[i - 1 : i + 1] @ space.approach_m_per_rad.T).max(axis=0)
+        point = curve.point(int(pieces[i]), float(places[i] - pieces[i]))
+        around = places[i - 1 : i + 2].tolist()
+        near = space.near(point, margin_m)
+        contacts = (_first_of_pair(space, curve, pair, around, clearance_m, step_m) for pair, clearance_m in near)
         found = min((place for place in contacts if place is not None), default=None)
         if found is not None:
             return found
@@ -85,21 +82,17 @@ def first_contact(space: JointSpace, curve: Cubics, step_m: float) -> float | No
 
 
 def _first_of_pair(
-    space: JointSpace,
-    curve: Cubics,
-    pair: int,
-    way_m: Sequence[float],
-    places: Sequence[float],
-    clearance_m: float,
-    step_m: float,
+    space: JointSpace, curve: Cubics, pair: int, around: Sequence[float], clearance_m: float, step_m: float
 ) -> float | None:
     """Find the first contact of a pair between the first and last of three places, with its clearance in the middle."""
-    begin_m, middle_m, end_m = (_way_at(way_m, place) for place in places)
+    first = int(around[0])
+    # How much of its clearance the pair may have lost at the ends of the pieces.
+    way_m = (curve.travelled_rad[first : int(around[2]) + 2] @ space.approach_m_per_rad[pair]).tolist()
+    begin_m, middle_m, end_m = (_way_at(way_m, place - first) for place in around)
     # Parts of the way, the first one last.
-    left = [(middle_m + clearance_m, end_m), (begin_m, middle_m - clearance_m)]
-    found = None
+    left, found = [(middle_m + clearance_m, end_m), (begin_m, middle_m - clearance_m)], None
     if clearance_m <= 0.0:
-        found, left, step_m = places[1], [(begin_m, middle_m)], max(step_m, EARLIEST_STEP_M)
+        left, found, step_m = [(begin_m, middle_m)], around[1], max(step_m, EARLIEST_STEP_M)
     while left:
         begin_m, end_m = left.pop()
         if end_m - begin_m <= step_m:
@@ -107,15 +100,17 @@ def _first_of_pair(
         middle_m = 0.5 * (begin_m + end_m)
         piece = min(bisect_right(way_m, middle_m), len(way_m) - 1) - 1
         share = (middle_m - way_m[piece]) / (way_m[piece + 1] - way_m[piece])
-        clearance_m = space.clearance_m(pair, curve.point(piece, share), 0.5 * (end_m - begin_m))
+        clearance_m = space.clearance_m(pair, curve.point(first + piece, share), 0.5 * (end_m - begin_m))
         if clearance_m > 0.0:
             left += [(middle_m + clearance_m, end_m), (begin_m, middle_m - clearance_m)]
         else:
-            found, left, step_m = piece + share, [(begin_m, middle_m)], max(step_m, EARLIEST_STEP_M)
+            left, found = [(begin_m, middle_m)], first + piece + share
+            step_m = max(step_m, EARLIEST_STEP_M)
     return found
 
 
 def _way_at(way_m: Sequence[float], place: float) -> float:
+    """Return the way at a place in pieces from its first end."""
     piece = min(int(place), len(way_m) - 2)
     return way_m[piece] + (place - piece) * (way_m[piece + 1] - way_m[piece])
 

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.broadphase import UNKNOWN_M, Broadphase, Nearest, NearPair
+from planners.geometry.broadphase import CONTACT_M, UNKNOWN_M, Broadphase, Nearest, NearPair
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.parts import PartPair, Parts, RobotParts, parts_of
 from planners.geometry.shapes import (
@@ -208,9 +208,11 @@ class CollisionModel:
         self, q: Vector, allowed: Mapping[frozenset[str], float] = NO_CONTACT, refined: RefinedPairs = NONE_REFINED
     ) -> bool:
         """Return true if a checked pair touches."""
-        if not self._broadphase.touches(q):
+        pair = self._broadphase.touches(q)
+        if pair is None:
             return False
-        if not (allowed or refined or self._unchanged):
+        # Looking at all pairs takes as long again.
+        if not (self._names[pair] in refined or self._names[pair] in allowed or pair in self._unchanged):
             return True
         return self._any_touches(self._touching(q), allowed, refined)
 
@@ -227,7 +229,7 @@ class CollisionModel:
 
     def pairs_of(self, names: Collection[frozenset[str]]) -> list[int]:
         """Return the pairs of some pairs of names."""
-        return [pair for pair, each in enumerate(self._names) if each in names]
+        return [pair for pair, each in enumerate(self._names) if each in names] if names else []
 
     def clearance_m(self, q: Vector, pair: int, margin_m: float) -> float:
         """Return how much nearer the hulls of a pair could come, 0 or less in contact, at most ``margin_m`` [m]."""
@@ -238,15 +240,20 @@ class CollisionModel:
     ) -> float:
         """As :meth:`clearance_m`, of a pair with an allowed overlap or to be refined."""
         clearance_m, names = self._broadphase.clearance_m(q, pair, margin_m), self._names[pair]
-        if clearance_m == margin_m:
+        if clearance_m == margin_m > 0.0:
             return margin_m
         self._broadphase.place(q)
         if names in allowed:
             clearance_m = min(margin_m, allowed[names] + DEPTH_ACCURACY_M - self._overlap_m(pair))
-        if clearance_m >= COARSE_SHARE * margin_m or names not in refined:
+        if names not in refined or (clearance_m > 0.0 and clearance_m >= COARSE_SHARE * margin_m):
             return clearance_m
+        if self._has_convex_parts(pair):
+            parts = self._parts_of_pair(pair)
+            by_parts_m = parts.nearest().distance_m - float(self._apart_m[pair]) - CONTACT_M
+            return by_parts_m if by_parts_m > 0.0 and not self._enclose(pair, parts) else clearance_m
+        # The margin is 0 where the joints that move do not move the pair.
         if self._apart(pair, margin_m):
-            return margin_m
+            return max(margin_m, UNKNOWN_M)
         return clearance_m if clearance_m > 0.0 or not self._apart(pair, 0.0) else UNKNOWN_M
 
     def colliding_pairs(self, q: Vector, refined: RefinedPairs | None = None) -> list[CollidingPair]:
@@ -386,8 +393,12 @@ class CollisionModel:
         parts = self._parts_of_pair(pair)
         if parts.nearer_than(margin_m + float(self._apart_m[pair])):
             return False
+        return not self._enclose(pair, parts)
+
+    def _enclose(self, pair: int, parts: PartPair) -> bool:
+        """Return true if a body of a pair is inside the other, whose parts it does not touch."""
         # Parts are not everywhere inside a link, and triangles nowhere. An object of triangles is a shell like a room.
-        return not parts.encloses(*(self._bodies[index].is_link for index in self._pairs[pair]))
+        return parts.encloses(*(self._bodies[index].is_link for index in self._pairs[pair]))
 
     def _has_convex_parts(self, pair: int) -> bool:
         return self._parts.convex and not self._names[pair] & self._scaled

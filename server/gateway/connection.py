@@ -98,7 +98,7 @@ class Connection:
             send_at_once=transport.send_at_once,
         )
         self._client = Client(ClientContext(node, session, gateway, transport, self))
-        self._background = gateway.scheduling.background
+        self._background = gateway.turns.background
         self._max_message_bytes = transport.max_message_bytes
         self.limit_messages()
 

@@ -184,7 +184,7 @@ class GoalExecutor:
         self._context, self._scene, self._clock = context, context.scene, context.clock
         self._in_progress = in_progress
         self.recorder = MotionRecorder()
-        # The motion in progress, and that of a preempted goal, which another can replace.
+        # The motion in progress, and the motion of a preempted goal, which another can replace.
         self._played: PlayedMotion | None = None
         self._outgoing: PlayedMotion | None = None
         context.scene.on_change(self._check_again)
@@ -611,7 +611,7 @@ class GoalExecutor:
     def _questions(self, motion: Trajectory, from_s: float = 0.0, *, alone: bool = False) -> Questions:
         """Return the questions if a motion is free from a time of it on [s], also of motions beside it, or alone."""
         joints, groups = motion.joint_names, self._context.robot.groups
-        # Planners reject the empty group, of joints that are just those of none.
+        # Planners reject the empty group of joints that no group has.
         group = next((name for name, group in groups.items() if group.joints == joints), "")
         rest = RecheckQuestion(group, motion, self._others_rad(joints, joints), from_s)
         beside = () if alone else self._in_progress.beside(frozenset(joints))

@@ -195,7 +195,7 @@ class HardwareInterface(ABC):
 def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
     """Run a sequence on hardware without a control loop, and return its result; ``wait`` waits for a time [s].
 
-    An exception of ``wait``, as Ctrl-C, ends the sequence at once, so that it can undo what is half done.
+    An exception of ``wait``, as Ctrl-C, ends the sequence at once, so that it can undo the half that is done.
     """
     with contextlib.closing(steps):
         while True:

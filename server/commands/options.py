@@ -162,7 +162,7 @@ def load_calibration(name: str, hardware: HardwareTable) -> Calibration:
 
 @contextlib.contextmanager
 def signals_as_ctrl_c() -> Iterator[None]:
-    """Take SIGTERM, and SIGHUP of a closed terminal, as Ctrl-C, which undoes what is half written to a servo."""
+    """Take SIGTERM, and SIGHUP of a closed terminal, as Ctrl-C, which undoes the half of a write to a servo."""
     # What nohup ignores stays ignored.
     taken = [each for each in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(each) is signal.SIG_DFL]
     for number in taken:

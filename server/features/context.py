@@ -14,6 +14,7 @@ from robot.description.model import RobotModel
 from server.access.authorization import Access
 from server.arm.arms import ServedArm
 from server.config import Settings
+from server.execution.confirmation import Confirmation
 from server.execution.executor import ExecutionContext, GoalExecutors
 from server.execution.failures import FailedGoals
 from server.execution.goal import Answer, Goal, GoalRequest, TimeLimits
@@ -27,7 +28,6 @@ from server.monitoring.monitor import GoalCounters
 from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator
-from server.moveit.goals.goal_topics import Confirmation
 from server.moveit.named_states import NamedStates, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import planning_group
@@ -58,7 +58,7 @@ class Goals(GoalListener):
             self.time_limits,
             None if directory is None else FailedGoals(directory, robot, time.time, max_files),
             planning.display.performed,
-            self.confirmation.wait,
+            self.confirmation,
         )
         self.executors = GoalExecutors(arm, execution)
         self.queue = GoalQueue(self.executors, goals.policy, goals.capacity)

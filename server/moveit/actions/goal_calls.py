@@ -14,6 +14,7 @@ from typing import Any
 from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
 from server.errors import RefusedError, invalid, refused
+from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.execution.queue import GoalQueue
@@ -34,7 +35,7 @@ from server.moveit.goals.goal_messages import (
     GoalTranslator,
     suggestion,
 )
-from server.moveit.goals.goal_topics import Confirmation, details_as_json
+from server.moveit.goals.goal_topics import details_as_json
 from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
 

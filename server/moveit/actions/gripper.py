@@ -23,9 +23,9 @@ from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.arrival import is_stopped
 from server.errors import RefusedError, invalid
-from server.execution.goal import CancelScope, ExecutionDeadline, TimeLimits
+from server.execution.goal import BRAKING_TIMEOUT_S, CancelScope, ExecutionDeadline, MotionWatch, TimeLimits
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
-from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress, MotionWatch
+from server.execution.motions import MotionsInProgress
 from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.list_limits import ListLimits
 from server.graph.local_graph import LocalGraph

@@ -20,7 +20,7 @@ from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.node import Node
 from server.graph.permissions import GOAL, PLANNING_GOAL
-from server.graph.services import CompleteResponse
+from server.graph.providers import CompleteResponse
 from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import (
     answer_of_task,

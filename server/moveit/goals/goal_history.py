@@ -16,7 +16,8 @@ from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.motions import Motion, Performed, PlannedMotion
 from server.execution.queue import GoalListener
 from server.graph.permissions import LOOKING
-from server.graph.services import Answered, CompleteResponse
+from server.graph.providers import CompleteResponse
+from server.graph.services import Answered
 from server.graph.topics import Graph
 from server.moveit.goals.goal_topics import final_status
 from server.moveit.messages import Message

@@ -23,7 +23,8 @@ from server.execution.monitors import state_message
 from server.execution.motions import Problem, deviation_note, plan_sequence
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
-from server.graph.services import Answered, Call, CompleteResponse, answer
+from server.graph.providers import CompleteResponse
+from server.graph.services import Answered, Call, answer
 from server.graph.topics import Graph
 from server.moveit.goals.goal_messages import with_suggestion
 from server.moveit.messages import Message, error_code, pose_of, success, write_pose

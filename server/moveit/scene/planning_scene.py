@@ -102,19 +102,24 @@ class SceneContents:
         )
 
 
+def _parts(contents: SceneContents) -> dict[str, Any]:
+    """Return contents by field, the dicts as copies."""
+    parts = {each.name: getattr(contents, each.name) for each in fields(SceneContents)}
+    return {name: dict(part) if isinstance(part, dict) else part for name, part in parts.items()}
+
+
 class SceneDraft(SceneContents):
     """Scene contents under change."""
 
     def __init__(self, contents: SceneContents, links: LinkTransforms) -> None:
-        parts: dict[str, Any] = {each.name: getattr(contents, each.name) for each in fields(contents)}
-        super().__init__(**{name: dict(part) if isinstance(part, dict) else part for name, part in parts.items()})
+        super().__init__(**_parts(contents))
         # The contents to start from, which stay as they are; an object that is only repeated stays the same one.
         self.before = contents
         self.links = links  # transforms of the links, which do not move meanwhile
         self.root = links.robot.root_link  # the planning frame
 
     def contents(self) -> SceneContents:
-        return SceneContents(**{each.name: getattr(self, each.name) for each in fields(SceneContents)})
+        return SceneContents(**_parts(self))
 
     def is_root(self, frame_id: str) -> bool:
         """Tell by its name alone if a frame is the planning frame."""

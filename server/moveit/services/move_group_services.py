@@ -211,7 +211,7 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     steps = [RequestStep(context.problems, item) for item in requests]
     start = context.start(requests[0]["start_state"], caller)
     planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool)
-    root, performed, failure = context.robot.root_link, planned.performed, planned.failure
+    root, performed, failure = context.robot.root_link, planned, planned.failure
     if failure is not None:
         failure = await explained(failure, planned.problem, start.scene, context)
     start_state = state_message(dict(start.start_rad), root, 0.0)

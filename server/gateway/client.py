@@ -120,6 +120,7 @@ class Client:
         self.node = context.node
         self.session = context.session
         self.status = context.status
+        self.wake = context.wake
         self.received_messages = 0
         self._context = context
         self._graph = context.graph

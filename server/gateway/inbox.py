@@ -29,7 +29,7 @@ log = logging.getLogger("armbridge.gateway")
 # Frames of this size and more are read by a thread: a thousand operations in a frame of 40 kB take 7 ms.
 LONG_FRAME_BYTES = 16_384
 
-# Operations in one client's inbox beyond which its socket is not read, as beyond `ClientScheduling.limit_bytes`. A stop
+# Operations in one client's inbox beyond which its socket is not read, as beyond `Turns.limit_bytes`. A stop
 # behind them waits for its turn.
 MAX_WAITING = 4_096
 
@@ -65,9 +65,7 @@ class Inbox:
         self.client = client
         self._session = context.session
         self._types = context.graph.message_types
-        self._scheduling = context.gateway.scheduling
-        self._turns = self._scheduling.turns
-        self._call_later = self._scheduling.call_later
+        self._turns = context.gateway.turns
         self._transport = context.transport
         self._clock = context.clock
         self._waiting: deque[Waiting] = deque()
@@ -143,12 +141,12 @@ class Inbox:
 
     def _count(self, size_bytes: int) -> None:
         self._waiting_bytes += size_bytes
-        self._scheduling.waiting_bytes += size_bytes
+        self._turns.waiting_bytes += size_bytes
 
     def _hold_or_release(self) -> None:
         """Leave the client's socket unread while much waits."""
         count = len(self._waiting) + len(self._stops)
-        full = count > MAX_WAITING or self._waiting_bytes > self._scheduling.limit_bytes
+        full = count > MAX_WAITING or self._waiting_bytes > self._turns.limit_bytes
         if full and not self._holds_reader:
             self._transport.hold_reading()
         elif self._holds_reader and not full:
@@ -211,7 +209,7 @@ class Inbox:
         ahead = replace(waiting, size_bytes=0)
         if self._stops or self._clock() < self._next_stop_s:
             if not self._stops:
-                self._call_later(self._next_stop_s - self._clock(), self._work_off_stops)
+                self._turns.call_later(self._next_stop_s - self._clock(), self._work_off_stops)
             self._stops.append(ahead)
             self._hold_or_release()
         else:
@@ -230,7 +228,7 @@ class Inbox:
                 self._carry_out(stop, stop.item)
         self._next_stop_s = self._clock() + STOP_PERIOD_S
         if self._stops:
-            self._call_later(STOP_PERIOD_S, self._work_off_stops)
+            self._turns.call_later(STOP_PERIOD_S, self._work_off_stops)
         self._hold_or_release()
 
     def _take_step(self) -> None:
@@ -300,11 +298,11 @@ class Inbox:
 
         def begin() -> None:
             if not self._closed:
-                self._scheduling.background.run(attempt, finish, give_up)
+                self._turns.background.run(attempt, finish, give_up)
 
         wait_s = self._next_job_s - self._clock()
         if wait_s > 0:
-            self._call_later(wait_s, begin)
+            self._turns.call_later(wait_s, begin)
         else:
             begin()
 

@@ -5,13 +5,13 @@ import logging
 from typing import Any
 
 from planners.problem import MoveItErrorCode
-from protocol.errors import shorten
+from protocol.errors import MessageError, shorten
+from protocol.publication import PublishedMessage
 from server.diagnostic_values import LEVEL_OK, key_values
 from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.motions import PlannedMotion, PlannedSequence
-from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, WORKING
-from server.graph.topics import Graph, Subscriber
+from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.goals")
 
@@ -29,8 +29,7 @@ class Confirmation:
     """
 
     def __init__(self, graph: Graph, *, enabled: bool, timeout_s: float) -> None:
-        self._graph = graph
-        self._node = Node("confirmation")
+        self._node = graph.node("confirmation")
         # The proposed goal that is not answered yet; None without one. There is one at a time.
         self.proposal: Goal | None = None
         self._waiting: Goal | None = None
@@ -39,22 +38,12 @@ class Confirmation:
         self._turn = asyncio.Lock()
         self._timeout_s = timeout_s
         self.enabled = enabled  # True while all goals wait for a confirmation
-        subscriber = Subscriber(
-            lambda published: self._decide(CONFIRM_TOPIC, go=published.msg["data"]),
-            lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
-            # Another client may confirm than the driving one.
-            rule=WORKING,
-        )
-        self._graph.subscribe(self._node, CONFIRM_TOPIC, "std_msgs/Bool", subscriber)
-        approver = Subscriber(
-            lambda published: self._decide(APPROVE_TOPIC, go=True, goal_id=published.msg["data"]), rule=WORKING
-        )
-        self._graph.subscribe(self._node, APPROVE_TOPIC, "std_msgs/String", approver)
-        self._graph.advertise(self._node, APPROVAL_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        # Another client may confirm than the driving one.
+        self._node.subscribe(CONFIRM_TOPIC, "std_msgs/Bool", self._confirm, self._log_invalid, rule=WORKING)
+        self._node.subscribe(APPROVE_TOPIC, "std_msgs/String", self._approve, rule=WORKING)
+        self._node.advertise(APPROVAL_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         self._publish_request(None, "", 0.0)
-        self._graph.services.offer(
-            self._node, CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode, rule=CONFIGURING
-        )
+        self._node.offer(CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode, rule=CONFIGURING)
 
     def propose(self, goal: Goal) -> None:
         """Take a goal as the proposal until it is answered."""
@@ -85,6 +74,15 @@ class Confirmation:
                 self._publish_request(None, "", 0.0)
             return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
 
+    def _confirm(self, published: PublishedMessage) -> None:
+        self._decide(CONFIRM_TOPIC, go=published.msg["data"])
+
+    def _approve(self, published: PublishedMessage) -> None:
+        self._decide(APPROVE_TOPIC, go=True, goal_id=published.msg["data"])
+
+    def _log_invalid(self, error: MessageError) -> None:
+        log.warning("%s: %s", CONFIRM_TOPIC, error)
+
     def _decide(self, topic: str, *, go: bool, goal_id: str | None = None) -> None:
         waiting = self._waiting
         if waiting is None or self._decision is None or self._decision.done():
@@ -108,7 +106,7 @@ class Confirmation:
             }
             status |= {"message": f"{goal.title} waits: {summary}", "values": key_values(values)}
             status |= {"name": goal.request.source, "hardware_id": goal.goal_id}
-        self._graph.publish(self._node, APPROVAL_TOPIC, status)
+        self._node.publish(APPROVAL_TOPIC, status)
 
     def _set_mode(self, request: dict[str, Any]) -> dict[str, Any]:
         self.enabled = request["data"]

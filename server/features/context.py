@@ -21,9 +21,7 @@ from server.execution.goal import Answer, Goal, GoalRequest, TimeLimits
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.execution.queue import GoalListener, GoalQueue, RunningGoal
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.topics import Graph
+from server.graph.topics import Graph, LocalGraph, LocalNode
 from server.monitoring.monitor import GoalCounters
 from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
@@ -80,7 +78,7 @@ class ArmContext:
     parameters: MoveItParameters
     planning: PlanningContext
     goals: Goals
-    node: Node
+    node: LocalNode
 
     @property
     def name(self) -> str:
@@ -181,7 +179,7 @@ def context_of(
         display=DisplayTopics(graph, robot),
     )
     goals = Goals(graph, whole_arm.arm, planning, settings)
-    whole = ArmContext(whole_arm, LocalGraph(graph), moveit, planning, goals, Node("moveit"))
+    whole = ArmContext(whole_arm, LocalGraph(graph), moveit, planning, goals, graph.node("moveit"))
     several = [
         ArmContext(
             each,
@@ -191,7 +189,7 @@ def context_of(
             ),
             planning,
             goals,
-            Node(f"moveit of {each.name}"),
+            LocalGraph(graph, each.name).node(f"moveit of {each.name}"),
         )
         for each in single_arms
         if each is not whole_arm

@@ -16,10 +16,9 @@ from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Joints
 from server.execution.queue import GoalListener, GoalQueue
-from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.permissions import CANCELLING, GOAL, STOP_EVENT, STOPPING, SWITCHING
-from server.graph.topics import Subscriber
+from server.graph.topics import LocalNode
 from server.moveit.goals.goal_messages import (
     GROUP_TOPIC,
     GROUP_TYPE,
@@ -46,14 +45,13 @@ EVENT_TOPIC = "/trajectory_execution_event"
 class GoalStatusTopics(GoalListener):
     """Topics for the status of all goals and the results of those on ``/moveit_goal_*``; with joints, of one arm's."""
 
-    def __init__(self, graph: LocalGraph, node: Node, robot: RobotModel, joints: Joints | None = None) -> None:
-        self._graph = graph
+    def __init__(self, node: LocalNode, robot: RobotModel, joints: Joints | None = None) -> None:
         self._node = node
         self._robot = robot
         self._joints = joints
-        self._sources = tuple(map(graph.resolve, (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC)))
-        self._graph.advertise(self._node, RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
-        self._graph.advertise(self._node, STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
+        self._sources = tuple(map(node.resolve, (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC)))
+        self._node.advertise(RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
+        self._node.advertise(STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
 
     def on_progress(self, goal: Goal, progress: Progress) -> None:
         if self._is_here(goal):
@@ -79,14 +77,14 @@ class GoalStatusTopics(GoalListener):
     def _is_here(self, goal: Goal) -> bool:
         """Return True for a goal that moves the arm, or was sent to it and refused."""
         joints, request = self._joints, goal.request
-        return joints is None or bool(request.joints & joints) or request.source.startswith(self._graph.resolve("/"))
+        return joints is None or bool(request.joints & joints) or request.source.startswith(self._node.resolve("/"))
 
     def _publish(self, goal: Goal, topic: str, message: Mapping[str, Any]) -> None:
         # Other clients wait for the end of goals of their own.
         if goal.request.only_for is None:
-            self._graph.publish(self._node, topic, message)
+            self._node.publish(topic, message)
         else:
-            self._graph.tell(goal.request.only_for, topic, message)
+            self._node.tell(goal.request.only_for, topic, message)
 
 
 def final_status(goal: Goal, answer: Answer, robot: RobotModel) -> Message:
@@ -130,14 +128,12 @@ class GoalTopics:
 
     def __init__(
         self,
-        graph: LocalGraph,
-        node: Node,
+        node: LocalNode,
         queue: GoalQueue,
         translator: GoalTranslator,
         confirmation: Confirmation,
         joints: Joints | None = None,
     ) -> None:
-        self._graph = graph
         self._node = node
         self._queue = queue
         self._translator = translator
@@ -145,16 +141,16 @@ class GoalTopics:
         self._joints = joints
         for goal_topic, type_name in ((NAMED_TOPIC, NAMED_TYPE), (JOINTS_TOPIC, JOINTS_TYPE), (POSE_TOPIC, POSE_TYPE)):
             self._take_goals(goal_topic, type_name)
-        self._graph.advertise(self._node, GROUP_TOPIC, GROUP_TYPE, latch=True)
+        self._node.advertise(GROUP_TOPIC, GROUP_TYPE, latch=True)
         self._publish_group()
         # The driving client chooses the group.
-        self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group, rule=SWITCHING))
-        self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel, rule=CANCELLING))
-        self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop, rule=STOPPING))
-        self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event, rule=STOP_EVENT))
+        self._node.subscribe(GROUP_TOPIC, GROUP_TYPE, self._select_group, rule=SWITCHING)
+        self._node.subscribe(CANCEL_TOPIC, "std_msgs/String", self._cancel, rule=CANCELLING)
+        self._node.subscribe(STOP_TOPIC, "std_msgs/Empty", self._stop, rule=STOPPING)
+        self._node.subscribe(EVENT_TOPIC, "std_msgs/String", self._on_event, rule=STOP_EVENT)
 
     def _take_goals(self, topic: str, type_name: str) -> None:
-        source = self._graph.resolve(topic)
+        source = self._node.resolve(topic)
 
         def deliver(published: PublishedMessage) -> None:
             message = published.msg
@@ -176,8 +172,7 @@ class GoalTopics:
             failure = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason)
             self._queue.reject(GoalRequest(source, message=message, only_for=sender), failure)
 
-        subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized, rule=GOAL)
-        self._graph.subscribe(self._node, topic, type_name, subscriber)
+        self._node.subscribe(topic, type_name, deliver, reject_invalid, reject_unauthorized, rule=GOAL)
 
     def _select_group(self, published: PublishedMessage) -> None:
         """Choose the group of goals to come; publish the present one after a name that is none."""
@@ -186,22 +181,22 @@ class GoalTopics:
         try:
             self._translator.select_group(published.msg["data"])
         except RefusedError as error:
-            request = GoalRequest(self._graph.resolve(GROUP_TOPIC), message=published.msg)
+            request = GoalRequest(self._node.resolve(GROUP_TOPIC), message=published.msg)
             self._queue.reject(request, error.failure)
         self._publish_group()
 
     def _publish_group(self) -> None:
-        self._graph.publish(self._node, GROUP_TOPIC, {"data": self._translator.group.name})
+        self._node.publish(GROUP_TOPIC, {"data": self._translator.group.name})
 
     def _cancel(self, published: PublishedMessage) -> None:
-        self._queue.cancel(published.msg["data"], f"cancelled by {self._graph.resolve(CANCEL_TOPIC)}")
+        self._queue.cancel(published.msg["data"], f"cancelled by {self._node.resolve(CANCEL_TOPIC)}")
 
     def _stop(self, _message: object) -> None:
-        self._queue.stop(f"stopped by {self._graph.resolve(STOP_TOPIC)}", self._joints)
+        self._queue.stop(f"stopped by {self._node.resolve(STOP_TOPIC)}", self._joints)
 
     def _on_event(self, published: PublishedMessage) -> None:
         event = published.msg["data"]
         if event == "stop":
-            self._queue.stop(f"stopped by {self._graph.resolve(EVENT_TOPIC)}", self._joints)
+            self._queue.stop(f"stopped by {self._node.resolve(EVENT_TOPIC)}", self._joints)
         else:
             log.warning("%s: ignored the event %r; only 'stop' is known", EVENT_TOPIC, event)

@@ -9,7 +9,6 @@ from harness.clients import values_of
 from protocol.errors import MessageError
 from server.execution import confirmation
 from server.execution.goal import Answer, Goal, GoalState, Progress
-from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
 from server.graph.topics import Subscriber
 from server.moveit.goals import goal_topics
@@ -28,10 +27,10 @@ class Desk(ActionDesk):
 
     def __init__(self) -> None:
         super().__init__()
-        graph, node = LocalGraph(self.graph), Node("moveit")
+        node = self.graph.node("moveit")
         self.confirmation = confirmation.Confirmation(self.graph, enabled=False, timeout_s=60.0)
-        self.queue.listeners.append(goal_topics.GoalStatusTopics(graph, node, ROBOT))
-        goal_topics.GoalTopics(graph, node, self.queue, translator(), self.confirmation)
+        self.queue.listeners.append(goal_topics.GoalStatusTopics(node, ROBOT))
+        goal_topics.GoalTopics(node, self.queue, translator(), self.confirmation)
         self.heard = {
             topic: listen(self.graph, topic) for topic in (goal_topics.RESULT_TOPIC, goal_topics.STATUS_TOPIC)
         }

@@ -213,7 +213,7 @@ def _has_stop(part: Part | Feature) -> bool:
 async def _stop(part: Part | Feature, allowed_s: float, hurry: asyncio.Event) -> None:
     began_s = time.monotonic()
     stopping = asyncio.create_task(_stop_and_log(part), name=f"stop {part.name}")
-    # A hurry, also one that comes meanwhile, cuts its time short.
+    # A hurry before or meanwhile cuts its time short.
     hurried = asyncio.create_task(hurry.wait())
     await asyncio.wait([stopping, hurried], timeout=allowed_s, return_when=asyncio.FIRST_COMPLETED)
     if not stopping.done() and hurry.is_set():

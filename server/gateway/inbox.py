@@ -70,10 +70,8 @@ class Inbox:
         self._clock = context.clock
         self._waiting: deque[Waiting] = deque()
         self._waiting_bytes = 0
-        # How many of them, and of those in progress, are frames that are still to be read.
-        self._unread_frames = 0
-        # What was the first, while a thread works on it.
-        self._in_progress: tuple[Waiting, ...] = ()
+        # True while a thread works on what was the first.
+        self._in_progress = False
         self._holds_reader = False
         # Set by a frame that waits; until when further ones are waited for.
         self._arrived = False
@@ -108,20 +106,13 @@ class Inbox:
         until_s = self._turns.until_s() if self.empty and not self._session.congested else None
         received = Waiting(frame, len(frame), STOP_EPOCHS.present if epoch is None else epoch)
         if len(frame) >= LONG_FRAME_BYTES:
-            if until_s is not None and isinstance(frame, str) and self.client.identified and is_light(frame):
-                received.light = True
-                self._begin(received, frame, until_s)
-            else:
-                self._add_frame(received, frame)
-        elif until_s is not None:
-            if not self._published(received):
-                self._begin(received, frame, until_s)
-        elif not self.client.identified or self._unread_frames or not _may_be_urgent(frame):
+            received.light = isinstance(frame, str) and self.client.identified and is_light(frame)
+            if not received.light:
+                until_s = None
+        if until_s is None:
             self._add_frame(received, frame)
-        else:
-            for each in _read_of(received, self.client.read(frame)):
-                if not self._take_ahead(each):
-                    self._add(each)
+        elif received.light or not self._published(received):
+            self._begin(received, frame, until_s)
 
     def work(self, until_s: float) -> bool:
         """Carry out what waits until a time; return True when there is more to do now."""
@@ -195,7 +186,6 @@ class Inbox:
             if ahead.repeated:
                 self._add(ahead)
                 return
-        self._unread_frames += 1
         self._add(received)
 
     # The lane for stops.
@@ -238,10 +228,8 @@ class Inbox:
         if isinstance(item, str | bytes):
             if len(item) >= LONG_FRAME_BYTES and self.client.identified:
                 self._run(lambda: self._session.receive_frame(item, self._clock()), first)
-            else:
-                self._unread_frames -= 1
-                if not self._published(first):
-                    self._put_first(_read_of(first, self.client.read(item)))
+            elif not self._published(first):
+                self._put_first(_read_of(first, self.client.read(item)))
         elif isinstance(item, Packed):
             self._run(lambda: [self._session.unpack(item)], first)
         elif first.repeated and isinstance(item, Operation):
@@ -272,7 +260,7 @@ class Inbox:
 
     def _run(self, job: Callable[[], Sequence[Operation | Refusal | Packed] | None], waiting: Waiting) -> None:
         """Have a thread work on what was the first; put it, or what was read of it, before all that waits."""
-        self._in_progress = (waiting,)
+        self._in_progress = True
 
         def attempt() -> Sequence[Operation | Refusal | Packed] | MemoryError | None:
             try:
@@ -282,7 +270,7 @@ class Inbox:
                 return MemoryError()
 
         def finish(result: Sequence[Operation | Refusal | Packed] | MemoryError | None, cost_s: float) -> None:
-            self._end_job(waiting)
+            self._in_progress = False
             self._next_job_s = self._clock() + cost_s
             if self._closed:
                 return
@@ -293,7 +281,7 @@ class Inbox:
                 self.resume()
 
         def give_up() -> None:
-            self._end_job(waiting)
+            self._in_progress = False
             self.resume()
 
         def begin() -> None:
@@ -305,11 +293,6 @@ class Inbox:
             self._turns.call_later(wait_s, begin)
         else:
             begin()
-
-    def _end_job(self, waiting: Waiting) -> None:
-        self._in_progress = ()
-        if isinstance(waiting.item, str | bytes):
-            self._unread_frames -= 1
 
 
 def _may_be_urgent(frame: str | bytes) -> bool:

@@ -159,17 +159,16 @@ class ClientList:
         self._change()
 
     def _change(self) -> None:
-        if self._pause is not None:
-            self._changed = True
-            return
-        self._publish()
-        self._pause = self._call_later(LIST_PERIOD_S, self._end_pause)
+        self._changed = True
+        if self._pause is None:
+            self._publish_change()
 
-    def _end_pause(self) -> None:
+    def _publish_change(self) -> None:
         self._pause = None
         if self._changed:
             self._changed = False
-            self._change()
+            self._publish()
+            self._pause = self._call_later(LIST_PERIOD_S, self._publish_change)
 
     def _publish(self) -> None:
         self._graph.publish(self._node, COUNT_TOPIC, {"data": len(self._clients)})

@@ -131,7 +131,7 @@ class Sharing:
         return self._outgoing.dropped + self._incoming.dropped
 
     def end_tasks(self) -> None:
-        """End what is in progress for other machines, as the network is left."""
+        """End the work for other machines that is in progress."""
         for task in self._network.tasks:
             task.cancel()
 

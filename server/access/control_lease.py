@@ -10,8 +10,7 @@ from typing import Any, Literal, TypeAlias
 
 from server.diagnostic_values import LEVEL_OK, key_values
 from server.execution.queue import RunningGoal
-from server.graph.node import Node
-from server.graph.permissions import LOOKING, WORKING, Role
+from server.graph.permissions import LOOKING, WORKING, Node, Role
 from server.graph.services import Call, answer
 from server.graph.topics import LocalGraph
 from server.timers import CallLater, call_later

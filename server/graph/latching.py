@@ -9,7 +9,7 @@ from collections import Counter, OrderedDict, deque
 from typing import NamedTuple
 
 from protocol.publication import PublishedMessage
-from server.graph.node import Node
+from server.graph.permissions import Node
 
 # Maps and meshes are latched, and have megabytes: as much for the server as for all clients together, and at most half
 # of that for one of them, so that one alone does not shut the others out.

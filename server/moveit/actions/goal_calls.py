@@ -21,8 +21,7 @@ from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
-from server.graph.node import Node
-from server.graph.permissions import CALLED_GOAL
+from server.graph.permissions import CALLED_GOAL, Node
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import answer_of_task, cancel_with_goal, goal_status

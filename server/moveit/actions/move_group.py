@@ -18,8 +18,7 @@ from server.execution.monitors import state_message
 from server.execution.motions import Motion, MotionStep, Performed, PlannedMotion, Positions, plan_sequence
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
-from server.graph.node import Node
-from server.graph.permissions import GOAL, PLANNING_GOAL
+from server.graph.permissions import GOAL, PLANNING_GOAL, Node
 from server.graph.providers import CompleteResponse
 from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import (

@@ -16,8 +16,7 @@ from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Joints
 from server.execution.queue import GoalListener, GoalQueue
-from server.graph.node import Node
-from server.graph.permissions import CANCELLING, GOAL, STOP_EVENT, STOPPING, SWITCHING
+from server.graph.permissions import CANCELLING, GOAL, STOP_EVENT, STOPPING, SWITCHING, Node
 from server.graph.topics import LocalNode
 from server.moveit.goals.goal_messages import (
     GROUP_TOPIC,

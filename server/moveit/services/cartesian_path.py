@@ -21,7 +21,7 @@ from robot.trajectory import Trajectory, Vector
 from server.errors import invalid, required
 from server.execution.monitors import state_message
 from server.execution.motions import deviation_note
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.moveit.messages import Message, pose_of, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.trajectories import to_messages

@@ -21,8 +21,7 @@ from server.errors import RefusedError, ServiceError, UnsuccessfulError, require
 from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
 from server.execution.motions import Problem, deviation_note, plan_sequence
-from server.graph.node import Node
-from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
+from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Node, Rule
 from server.graph.providers import CompleteResponse
 from server.graph.services import Answered, Call, answer
 from server.graph.topics import Graph

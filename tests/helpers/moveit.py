@@ -28,7 +28,7 @@ from server.graph.actions import ActionGoal, Result
 from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.moveit.display import DisplayTopics
-from server.moveit.goals.goal_messages import GoalTranslator
+from server.moveit.goals.goal_topics import GoalTranslator
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import RequestContext

@@ -25,15 +25,15 @@ from server.graph.services import MAX_TIMEOUT_S, Call, Response
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status, plan_without_moving
 from server.moveit.actions.move_group import plan_steps
-from server.moveit.goals.goal_messages import (
+from server.moveit.goals.goal_topics import (
     JOINTS_TOPIC,
     NAMED_TOPIC,
     POSE_TOPIC,
     TARGET_FIELDS,
     GoalTranslator,
+    details_as_json,
     suggestion,
 )
-from server.moveit.goals.goal_topics import details_as_json
 from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
 

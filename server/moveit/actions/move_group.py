@@ -30,7 +30,7 @@ from server.moveit.actions.goal_bridge import (
     submit_goal,
 )
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, check_duration
-from server.moveit.goals.goal_messages import with_suggestion
+from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, RequestStep, sequence_requests

@@ -1,8 +1,6 @@
 """roslibjs in two versions and the old roslibpy on the simulated arm; test_roslibpy_suite.py has the new one."""
 
-import json
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +9,6 @@ from typing import Any
 import pytest
 
 from harness.server import RunningServer
-from harness.waiting import TIMEOUT_S
 from tests.clients.conftest import OF_DIALECT
 from tests.helpers.programs import environment_with, heard_by, install_with_npm
 
@@ -66,11 +63,7 @@ def heard(server: RunningServer, request: pytest.FixtureRequest) -> Callable[[st
     def run(version: str) -> Heard:
         if version in JAVASCRIPT:
             folder: Path = request.getfixturevalue("node_modules")
-            command = ["node", "roslib_scenario.mjs", version, f"ws://127.0.0.1:{server.port}"]
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
-            assert done.returncode == 0, done.stderr + done.stdout
-            heard: Heard = json.loads(done.stdout.splitlines()[-1])
-            return heard
+            return heard_by("node", "roslib_scenario.mjs", version, f"ws://127.0.0.1:{server.port}", cwd=folder)
         return heard_by(request.getfixturevalue("old_python"), HERE / "roslibpy_scenario.py", str(server.port))
 
     def once(version: str) -> Heard:

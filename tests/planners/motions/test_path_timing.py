@@ -1,5 +1,4 @@
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,12 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from harness.server import ROOT
-from harness.waiting import TIMEOUT_S
 from planners.motions.path_timing import time_along, toppra_profile, within_limits
 from planners.motions.spline import NaturalSpline
 from planners.problem import RateLimits
 from robot.trajectory import Trajectory
+from tests.helpers.programs import run
 from tests.helpers.resources import examples
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed, fine_samples
 
@@ -123,15 +121,8 @@ def test_a_path_without_any_timing_or_that_toppra_cannot_time_has_none(monkeypat
 
 def test_no_warning_is_shown_where_toppra_is_compiled(tmp_path: Path) -> None:
     """As at the first start after an installation that compiles nothing, and at each where nothing can be kept."""
-    done = subprocess.run(
-        [sys.executable, "-W", "always", "-c", "import planners.motions.path_timing"],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPYCACHEPREFIX": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=True,
-    )
+    program = [sys.executable, "-W", "always", "-c", "import planners.motions.path_timing"]
+    done = run(*program, env={**os.environ, "PYTHONPYCACHEPREFIX": str(tmp_path)}, check=True)
     assert "toppra" not in done.stderr
 
 

@@ -134,12 +134,6 @@ def test_a_parameter_is_kept_and_one_that_is_not_there_is_read(answers: Heard) -
     assert answers["unknown parameter"] in (None, "failed: there is no parameter nobody_has_set_this")
 
 
-def test_an_action_of_one_client_is_run_by_another(answers: Heard) -> None:
-    assert answers["action"]["result"]["position"] == 0.5
-    assert answers["action"]["result"]["reached_goal"] is True
-    assert answers["action"]["feedback"]["position"] == 0.25
-
-
 @pytest.mark.parametrize("client", ["TFClient", "ROS2TFClient"])
 def test_a_viewer_hears_where_a_link_is(of_javascript: Heard, client: str) -> None:
     if client not in of_javascript:
@@ -153,6 +147,6 @@ def test_the_robots_description_is_a_parameter_of_its_node(of_javascript: Heard)
     assert "<robot" in of_javascript["URDF of a node"]
 
 
-def test_the_action_of_the_examples_is_run(answers: Heard) -> None:
+def test_an_action_of_one_client_is_run_by_another(answers: Heard) -> None:
     assert answers["fibonacci"]["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
     assert answers["fibonacci"]["feedback"]["sequence"] == [0, 1, 1]

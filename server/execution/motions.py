@@ -6,9 +6,10 @@ trajectory that does not start where the arm is gets a lead-in.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -28,6 +29,7 @@ from planners.problem import (
 from planners.scene import Scene
 from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
+from robot.messages import MotionEnded
 from robot.trajectory import Trajectory
 from server.errors import RefusedError, refused
 
@@ -328,6 +330,64 @@ def _between(motion: Trajectory, from_s: float, to_s: float) -> Trajectory:
     columns = [np.vstack((first[i], array[inside], last[i])) for i, array in enumerate(arrays)]
     time_s = np.concatenate(([0.0], motion.time_s[inside] - from_s, [to_s - from_s]))
     return Trajectory(motion.joint_names, time_s, *columns)
+
+
+@dataclass(frozen=True)
+class MotionInProgress:
+    """Motion that the arm plays."""
+
+    trajectory: Trajectory
+    ended: asyncio.Future[MotionEnded]
+
+    @property
+    def title(self) -> str:
+        names = self.trajectory.joint_names
+        return f"the motion of {names[0]}" + (f" to {names[-1]}" if len(names) > 1 else "")
+
+
+class MotionsInProgress:
+    """Motions of all goals, by which motions of some joints are planned around others, one goal at a ``turn``."""
+
+    def __init__(self) -> None:
+        self._motions: dict[asyncio.Future[MotionEnded], MotionInProgress] = {}
+        self._announced: dict[Joints, Mapping[str, float]] = {}
+        self.turn = asyncio.Lock()
+
+    def announce(self, joints: Joints, end_rad: Mapping[str, float]) -> None:
+        """Tell where motions of some joints that are planned will end [rad]."""
+        self._announced[joints] = end_rad
+
+    def withdraw(self, joints: Joints) -> None:
+        self._announced.pop(joints, None)
+
+    def add(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> None:
+        if not ended.done():
+            self._motions[ended] = MotionInProgress(trajectory, ended)
+            ended.add_done_callback(lambda _ended: self._motions.pop(ended, None))
+
+    def of(self, joints: Iterable[str]) -> list[MotionInProgress]:
+        wanted = frozenset(joints)
+        return [one for one in self._live if wanted & set(one.trajectory.joint_names)]
+
+    def beside(self, joints: Joints) -> list[MotionInProgress]:
+        """Return the motions of none but other joints."""
+        return [one for one in self._live if not joints & set(one.trajectory.joint_names)]
+
+    def expected_rad(self, held_rad: Mapping[str, float], joints: Joints) -> dict[str, float]:
+        """Return the positions [rad] of some joints now, and of others after their motions, begun or announced."""
+        expected_rad = dict(held_rad)
+        for one in self.beside(joints):
+            end_rad = one.trajectory.positions_rad[-1].tolist()
+            expected_rad |= zip(one.trajectory.joint_names, end_rad, strict=True)
+        for announced, end_rad_of in self._announced.items():
+            if not announced & joints:
+                expected_rad |= end_rad_of
+        return expected_rad
+
+    @property
+    def _live(self) -> list[MotionInProgress]:
+        # The callback of an end comes a turn of the event loop later than the end.
+        return [one for one in self._motions.values() if not one.ended.done()]
 
 
 # Smaller deviations are within what a servo arm reaches anyway [m], [rad].

@@ -102,7 +102,7 @@ def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[st
 
 
 def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
-    node = Node("move group")
+    node = graph.node("move group")
 
     def offer(
         name: str,
@@ -126,7 +126,7 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
             except RefusedError as error:
                 reject_goal(goal, queue, error.failure, result)
 
-        graph.actions.offer(node, name, f"moveit_msgs/action/{type_name}", start, PLANNING_LIMITS, rule=PLANNING_GOAL)
+        node.offer_action(name, f"moveit_msgs/action/{type_name}", start, PLANNING_LIMITS, rule=PLANNING_GOAL)
 
     for name in MOVE_ACTIONS:
         offer(name, "MoveGroup", lambda goal: [goal["request"]], move_group_result)
@@ -295,5 +295,5 @@ def offer_execute_trajectory(graph: Graph, context: TrajectoryContext) -> None:
         else:
             _execute(goal, context.queue, external_motion(message, robot), result)
 
-    node, type_name = Node("execute trajectory"), "moveit_msgs/action/ExecuteTrajectory"
-    graph.actions.offer(node, EXECUTE_ACTION, type_name, start, TRAJECTORY_LIMITS, rule=GOAL)
+    node, type_name = graph.node("execute trajectory"), "moveit_msgs/action/ExecuteTrajectory"
+    node.offer_action(EXECUTE_ACTION, type_name, start, TRAJECTORY_LIMITS, rule=GOAL)

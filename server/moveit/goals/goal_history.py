@@ -15,7 +15,6 @@ from server.errors import RefusedError
 from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.motions import Motion, Performed, PlannedMotion
 from server.execution.queue import GoalListener
-from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.services import Answered, CompleteResponse
 from server.graph.topics import Graph
@@ -59,7 +58,7 @@ class GoalHistory(GoalListener):
         # Scene of each goal in progress when it was planned last: it may change before the answer.
         self._planned_in: dict[str, Scene] = {}
         self._summaries: dict[str, str] = {}
-        node = Node("goal history")
+        node = graph.node("goal history")
         offer = graph.services.offer
         offer(node, "/armbridge/goal_history", "armbridge_msgs/srv/GetGoalHistory", self._history, rule=LOOKING)
         offer(node, "/armbridge/goal_record", "armbridge_msgs/srv/GetGoalRecord", self._record, rule=LOOKING)

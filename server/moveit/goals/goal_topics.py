@@ -1,6 +1,5 @@
-"""Goals of clients that know only topics, one per message on ``/moveit_goal_*``: confirmation, status and result."""
+"""Goals of clients that know only topics, one per message on ``/moveit_goal_*``: their status and result."""
 
-import asyncio
 import json
 import logging
 from collections.abc import Mapping
@@ -8,18 +7,18 @@ from dataclasses import replace
 from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from protocol.errors import MessageError, shorten
+from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, key_values
 from server.errors import RefusedError
+from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
-from server.execution.motions import Joints, PlannedMotion, PlannedSequence
+from server.execution.motions import Joints
 from server.execution.queue import GoalListener, GoalQueue
-from server.graph.local_graph import LocalGraph
 from server.graph.node import Node
-from server.graph.permissions import CANCELLING, CONFIGURING, GOAL, STOP_EVENT, STOPPING, SWITCHING, WORKING
-from server.graph.topics import Graph, Subscriber
+from server.graph.permissions import CANCELLING, GOAL, STOP_EVENT, STOPPING, SWITCHING
+from server.graph.topics import LocalNode
 from server.moveit.goals.goal_messages import (
     GROUP_TOPIC,
     GROUP_TYPE,
@@ -39,124 +38,20 @@ log = logging.getLogger("armbridge.goals")
 RESULT_TOPIC = "/moveit_goal_result"
 STATUS_TOPIC = "/moveit_goal_status"
 CANCEL_TOPIC = "/moveit_goal_cancel"
-CONFIRM_TOPIC = "/moveit_goal_confirm"
-APPROVE_TOPIC = "/moveit_goal_approve"
-APPROVAL_TOPIC = "/moveit_goal_approval"
-CONFIRM_MODE_SERVICE = "/moveit_goal_confirm_mode"
 STOP_TOPIC = "/stop"
 EVENT_TOPIC = "/trajectory_execution_event"
-
-
-class Confirmation:
-    """Gate between plan and motion: the arm moves when a user confirms the plan.
-
-    A proposed plan is confirmed by its goal's id, so that a user who decides on one plan cannot confirm the next one,
-    which has just taken its place.
-    """
-
-    def __init__(self, graph: Graph, *, enabled: bool, timeout_s: float) -> None:
-        self._graph = graph
-        self._node = Node("confirmation")
-        # The proposed goal that is not answered yet; None without one. There is one at a time.
-        self.proposal: Goal | None = None
-        self._waiting: Goal | None = None
-        self._decision: asyncio.Future[bool] | None = None
-        # Goals of several groups are confirmed one after the other.
-        self._turn = asyncio.Lock()
-        self._timeout_s = timeout_s
-        self.enabled = enabled  # True while all goals wait for a confirmation
-        subscriber = Subscriber(
-            lambda published: self._decide(CONFIRM_TOPIC, go=published.msg["data"]),
-            lambda error: log.warning("%s: %s", CONFIRM_TOPIC, error),
-            # Another client may confirm than the driving one.
-            rule=WORKING,
-        )
-        self._graph.subscribe(self._node, CONFIRM_TOPIC, "std_msgs/Bool", subscriber)
-        approver = Subscriber(
-            lambda published: self._decide(APPROVE_TOPIC, go=True, goal_id=published.msg["data"]), rule=WORKING
-        )
-        self._graph.subscribe(self._node, APPROVE_TOPIC, "std_msgs/String", approver)
-        self._graph.advertise(self._node, APPROVAL_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
-        self._publish_request(None, "", 0.0)
-        self._graph.services.offer(
-            self._node, CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode, rule=CONFIGURING
-        )
-
-    def propose(self, goal: Goal) -> None:
-        """Take a goal as the proposal until it is answered."""
-        self.proposal = goal
-
-        def forget(_answered: object) -> None:
-            self.proposal = None
-
-        goal.answered.add_done_callback(forget)
-
-    async def wait(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
-        """Wait for the decision on a plan; return None to go on, else the goal's answer."""
-        async with self._turn:
-            self._waiting, self._decision = goal, asyncio.get_running_loop().create_future()
-            self._publish_request(goal, planned.summary, planned.duration_s)
-            # Last: a client that learns of the waiting plan may decide on it at once.
-            waits = f"{goal.request.client} asks for your approval" if _is_proposed(goal) else "waits to be confirmed"
-            goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
-            try:
-                async with asyncio.timeout(self._timeout_s):
-                    go = await self._decision
-            except TimeoutError:
-                topic = APPROVE_TOPIC if _is_proposed(goal) else CONFIRM_TOPIC
-                message = f"planned, but not confirmed on {topic} within {self._timeout_s:g} s"
-                return Answer(MoveItErrorCode.TIMED_OUT, message)
-            finally:
-                self._waiting = self._decision = None
-                self._publish_request(None, "", 0.0)
-            return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
-
-    def _decide(self, topic: str, *, go: bool, goal_id: str | None = None) -> None:
-        waiting = self._waiting
-        if waiting is None or self._decision is None or self._decision.done():
-            log.warning("%s: ignored, no goal waits for it", topic)
-        elif goal_id not in (None, waiting.goal_id):
-            log.warning("%s: ignored, goal %s waits, not %r", topic, waiting.goal_id, shorten(goal_id or ""))
-        elif go and goal_id is None and _is_proposed(waiting):
-            log.warning("%s: ignored, goal %s is approved on %s", topic, waiting.goal_id, APPROVE_TOPIC)
-        else:
-            self._decision.set_result(go)
-
-    def _publish_request(self, goal: Goal | None, summary: str, duration_s: float) -> None:
-        status: dict[str, Any] = {"level": LEVEL_OK, "message": "no goal waits"}
-        if goal is not None:
-            values = {
-                "client": str(goal.request.client),
-                "proposed": str(_is_proposed(goal)).lower(),
-                "summary": summary,
-                "duration_s": f"{duration_s:.2f}",
-                "timeout_s": f"{self._timeout_s:g}",
-            }
-            status |= {"message": f"{goal.title} waits: {summary}", "values": key_values(values)}
-            status |= {"name": goal.request.source, "hardware_id": goal.goal_id}
-        self._graph.publish(self._node, APPROVAL_TOPIC, status)
-
-    def _set_mode(self, request: dict[str, Any]) -> dict[str, Any]:
-        self.enabled = request["data"]
-        said = f"wait for a message on {CONFIRM_TOPIC}" if self.enabled else "are carried out at once"
-        return {"success": True, "message": f"goals on /moveit_goal_* {said}"}
-
-
-def _is_proposed(goal: Goal) -> bool:
-    return isinstance(goal.request.motion, PlannedMotion) and goal.request.motion.proposed
 
 
 class GoalStatusTopics(GoalListener):
     """Topics for the status of all goals and the results of those on ``/moveit_goal_*``; with joints, of one arm's."""
 
-    def __init__(self, graph: LocalGraph, node: Node, robot: RobotModel, joints: Joints | None = None) -> None:
-        self._graph = graph
+    def __init__(self, node: LocalNode, robot: RobotModel, joints: Joints | None = None) -> None:
         self._node = node
         self._robot = robot
         self._joints = joints
-        self._sources = tuple(map(graph.resolve, (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC)))
-        self._graph.advertise(self._node, RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
-        self._graph.advertise(self._node, STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
+        self._sources = tuple(map(node.resolve, (NAMED_TOPIC, JOINTS_TOPIC, POSE_TOPIC)))
+        self._node.advertise(RESULT_TOPIC, "moveit_msgs/MoveItErrorCodes")
+        self._node.advertise(STATUS_TOPIC, "diagnostic_msgs/DiagnosticStatus")
 
     def on_progress(self, goal: Goal, progress: Progress) -> None:
         if self._is_here(goal):
@@ -182,14 +77,14 @@ class GoalStatusTopics(GoalListener):
     def _is_here(self, goal: Goal) -> bool:
         """Return True for a goal that moves the arm, or was sent to it and refused."""
         joints, request = self._joints, goal.request
-        return joints is None or bool(request.joints & joints) or request.source.startswith(self._graph.resolve("/"))
+        return joints is None or bool(request.joints & joints) or request.source.startswith(self._node.resolve("/"))
 
     def _publish(self, goal: Goal, topic: str, message: Mapping[str, Any]) -> None:
         # Other clients wait for the end of goals of their own.
         if goal.request.only_for is None:
-            self._graph.publish(self._node, topic, message)
+            self._node.publish(topic, message)
         else:
-            self._graph.tell(goal.request.only_for, topic, message)
+            self._node.tell(goal.request.only_for, topic, message)
 
 
 def final_status(goal: Goal, answer: Answer, robot: RobotModel) -> Message:
@@ -233,14 +128,12 @@ class GoalTopics:
 
     def __init__(
         self,
-        graph: LocalGraph,
-        node: Node,
+        node: LocalNode,
         queue: GoalQueue,
         translator: GoalTranslator,
         confirmation: Confirmation,
         joints: Joints | None = None,
     ) -> None:
-        self._graph = graph
         self._node = node
         self._queue = queue
         self._translator = translator
@@ -248,16 +141,16 @@ class GoalTopics:
         self._joints = joints
         for goal_topic, type_name in ((NAMED_TOPIC, NAMED_TYPE), (JOINTS_TOPIC, JOINTS_TYPE), (POSE_TOPIC, POSE_TYPE)):
             self._take_goals(goal_topic, type_name)
-        self._graph.advertise(self._node, GROUP_TOPIC, GROUP_TYPE, latch=True)
+        self._node.advertise(GROUP_TOPIC, GROUP_TYPE, latch=True)
         self._publish_group()
         # The driving client chooses the group.
-        self._graph.subscribe(self._node, GROUP_TOPIC, GROUP_TYPE, Subscriber(self._select_group, rule=SWITCHING))
-        self._graph.subscribe(self._node, CANCEL_TOPIC, "std_msgs/String", Subscriber(self._cancel, rule=CANCELLING))
-        self._graph.subscribe(self._node, STOP_TOPIC, "std_msgs/Empty", Subscriber(self._stop, rule=STOPPING))
-        self._graph.subscribe(self._node, EVENT_TOPIC, "std_msgs/String", Subscriber(self._on_event, rule=STOP_EVENT))
+        self._node.subscribe(GROUP_TOPIC, GROUP_TYPE, self._select_group, rule=SWITCHING)
+        self._node.subscribe(CANCEL_TOPIC, "std_msgs/String", self._cancel, rule=CANCELLING)
+        self._node.subscribe(STOP_TOPIC, "std_msgs/Empty", self._stop, rule=STOPPING)
+        self._node.subscribe(EVENT_TOPIC, "std_msgs/String", self._on_event, rule=STOP_EVENT)
 
     def _take_goals(self, topic: str, type_name: str) -> None:
-        source = self._graph.resolve(topic)
+        source = self._node.resolve(topic)
 
         def deliver(published: PublishedMessage) -> None:
             message = published.msg
@@ -279,8 +172,7 @@ class GoalTopics:
             failure = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason)
             self._queue.reject(GoalRequest(source, message=message, only_for=sender), failure)
 
-        subscriber = Subscriber(deliver, reject_invalid, reject_unauthorized, rule=GOAL)
-        self._graph.subscribe(self._node, topic, type_name, subscriber)
+        self._node.subscribe(topic, type_name, deliver, reject_invalid, reject_unauthorized, rule=GOAL)
 
     def _select_group(self, published: PublishedMessage) -> None:
         """Choose the group of goals to come; publish the present one after a name that is none."""
@@ -289,22 +181,22 @@ class GoalTopics:
         try:
             self._translator.select_group(published.msg["data"])
         except RefusedError as error:
-            request = GoalRequest(self._graph.resolve(GROUP_TOPIC), message=published.msg)
+            request = GoalRequest(self._node.resolve(GROUP_TOPIC), message=published.msg)
             self._queue.reject(request, error.failure)
         self._publish_group()
 
     def _publish_group(self) -> None:
-        self._graph.publish(self._node, GROUP_TOPIC, {"data": self._translator.group.name})
+        self._node.publish(GROUP_TOPIC, {"data": self._translator.group.name})
 
     def _cancel(self, published: PublishedMessage) -> None:
-        self._queue.cancel(published.msg["data"], f"cancelled by {self._graph.resolve(CANCEL_TOPIC)}")
+        self._queue.cancel(published.msg["data"], f"cancelled by {self._node.resolve(CANCEL_TOPIC)}")
 
     def _stop(self, _message: object) -> None:
-        self._queue.stop(f"stopped by {self._graph.resolve(STOP_TOPIC)}", self._joints)
+        self._queue.stop(f"stopped by {self._node.resolve(STOP_TOPIC)}", self._joints)
 
     def _on_event(self, published: PublishedMessage) -> None:
         event = published.msg["data"]
         if event == "stop":
-            self._queue.stop(f"stopped by {self._graph.resolve(EVENT_TOPIC)}", self._joints)
+            self._queue.stop(f"stopped by {self._node.resolve(EVENT_TOPIC)}", self._joints)
         else:
             log.warning("%s: ignored the event %r; only 'stop' is known", EVENT_TOPIC, event)

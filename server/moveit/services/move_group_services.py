@@ -343,10 +343,10 @@ SERVICES: Mapping[str, MoveGroupService] = {
 
 
 def offer_services(graph: Graph, context: PlanningContext) -> None:
-    node = Node("moveit services")
+    node = graph.node("moveit services")
     for name, service in SERVICES.items():
         type_name, start = f"moveit_msgs/srv/{service.type_name}", _start_call(service, context)
-        graph.services.offer_calls(node, name, type_name, start, TIMEOUT_S, PLANNING_LIMITS, rule=service.rule)
+        node.offer_calls(name, type_name, start, TIMEOUT_S, PLANNING_LIMITS, rule=service.rule)
 
 
 def _start_call(service: MoveGroupService, context: PlanningContext) -> Callable[[Call], None]:

@@ -17,7 +17,13 @@ from planners.problem import RateLimits
 from robot.trajectory import Trajectory
 from tests.helpers.programs import run
 from tests.helpers.resources import examples
-from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed, fine_samples
+from tests.planners.invariants import (
+    assert_from_rest_to_rest,
+    assert_keeps_rates,
+    assert_well_formed,
+    fine_samples,
+    least_time_of_line_s,
+)
 
 NAMES = ("a", "b", "c")
 LIMITS = RateLimits(np.array([2.0, 1.2, 1.6]), np.array([6.0, 3.0, 5.0]))
@@ -48,13 +54,6 @@ def spline(points):
 
 def straight(*goal, points=9):
     return np.linspace(0.0, 1.0, points)[:, np.newaxis] * np.array(goal)
-
-
-def least_time_s(distance, velocity, acceleration):
-    """Least time from rest to rest over a distance."""
-    if distance < velocity**2 / acceleration:
-        return 2.0 * np.sqrt(distance / acceleration)
-    return distance / velocity + velocity / acceleration
 
 
 def test_a_motion_that_would_take_too_long_is_not_sampled() -> None:
@@ -89,8 +88,7 @@ def test_the_motion_stays_on_the_curve(points):
 @given(st.tuples(*[coordinates] * 3).map(np.array).filter(lambda goal: np.abs(goal).max() > 0.01))
 def test_a_straight_line_takes_the_least_time_there_is(goal):
     motion = time_along(spline(straight(*goal)), NAMES, LIMITS)
-    share = np.maximum(np.abs(goal), 1e-12)
-    bound_s = least_time_s(1.0, np.min(LIMITS.velocity_rad_s / share), np.min(LIMITS.acceleration_rad_s2 / share))
+    bound_s = least_time_of_line_s(goal, LIMITS)
     assert bound_s - 1e-9 <= motion.duration_s <= 1.03 * bound_s
 
 

@@ -69,6 +69,18 @@ async def test_a_large_change_that_is_refused_changes_nothing():
     assert "pen" in state.contents.objects
 
 
+async def test_a_change_whose_wait_is_cancelled_is_not_applied():
+    state = scene_state(box("cup"))
+    contents = state.contents
+    waiting = asyncio.create_task(state.change(state.diff(MANY), BENT))
+    await asyncio.sleep(0)
+    waiting.cancel()
+    await asyncio.wait([waiting])
+    await asyncio.wait_for(state.settled(), TIMEOUT_S)
+    assert waiting.cancelled()
+    assert state.contents is contents
+
+
 async def test_changes_that_wait_are_bounded():
     state, ends = scene_state(), []
     most = SceneChange(lambda _draft: None, MAX_WAITING_ELEMENTS)

@@ -77,27 +77,22 @@ def has_actionlib_types(registry: Registry, type_name: str) -> bool:
     return registry.knows(_message_type(type_name, "ActionGoal"))
 
 
-class ActionlibBridge:
-    """Keeps the topics of several actions."""
+def bridge_actions(graph: Graph, names: Iterable[str], clock: Callable[[], float], call_later: CallLater) -> None:
+    """Open and keep the topics of actions that are offered; an action of a type that ROS 1 lacks has none."""
+    types = {name: graph.actions.names.type_of(name) for name in names}
+    registry = graph.message_types.registry
+    bridged = [
+        BridgedAction(graph, name, type_name, clock)
+        for name, type_name in types.items()
+        if type_name is not None and has_actionlib_types(registry, type_name)
+    ]
 
-    def __init__(self, graph: Graph, clock: Callable[[], float], call_later: CallLater) -> None:
-        self._graph = graph
-        self._clock = clock
-        self._call_later = call_later
-        self._bridged: list[BridgedAction] = []
-
-    def open(self, names: Iterable[str]) -> None:
-        """Open the topics of actions that are offered; one of a type that ROS 1 lacks has none."""
-        for name in names:
-            type_name = self._graph.actions.names.type_of(name)
-            if type_name is not None and has_actionlib_types(self._graph.message_types.registry, type_name):
-                self._bridged.append(BridgedAction(self._graph, name, type_name, self._clock))
-        self._beat()
-
-    def _beat(self) -> None:
-        for action in self._bridged:
+    def beat() -> None:
+        for action in bridged:
             action.publish_status()
-        self._call_later(STATUS_PERIOD_S, self._beat)
+        call_later(STATUS_PERIOD_S, beat)
+
+    beat()
 
 
 class BridgedAction:

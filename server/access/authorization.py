@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Literal
 
 from protocol.operations import (
@@ -237,9 +236,6 @@ class Authorizer:
         return None if refusal is None else f"{name}: {refusal}"
 
 
-NO_ARMS: Mapping[str, Callable[[], RunningGoal | None]] = MappingProxyType({})
-
-
 class Access:
     """Authentication and authorization as the settings describe them, or ConfigurationError.
 
@@ -252,14 +248,15 @@ class Access:
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
         busy: Callable[[], RunningGoal | None] = lambda: None,
-        arms: Mapping[str, Callable[[], RunningGoal | None]] = NO_ARMS,
+        arms: Mapping[str, Callable[[], RunningGoal | None]] | None = None,
     ) -> None:
         self.tokens = Tokens.from_settings(settings)
         self.one_time_tokens = OneTimeTokens(clock)
         policy, idle_s = settings.control, settings.control_idle_s
         self.lease = ControlLease(policy, idle_s, wall_clock, busy, several=bool(arms))
         self.leases_of_arms = {
-            name: ControlLease(policy, idle_s, wall_clock, busy_there, f"/{name}") for name, busy_there in arms.items()
+            name: ControlLease(policy, idle_s, wall_clock, busy_there, f"/{name}")
+            for name, busy_there in (arms or {}).items()
         }
         self.lease.excluded_by = tuple(self.leases_of_arms.values())
         for lease in self.leases_of_arms.values():

@@ -293,11 +293,7 @@ class _Place:
     speed_limit: float
 
     def same_as(self, other: _Place | None) -> bool:
-        if other is None or (self.version, self.arms, self.speed_limit) != (
-            other.version,
-            other.arms,
-            other.speed_limit,
-        ):
+        if other is None or replace(self, held_rad=other.held_rad) != other:
             return False
         return all(abs(value - other.held_rad[name]) <= SAME_PLACE_RAD for name, value in self.held_rad.items())
 

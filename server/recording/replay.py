@@ -10,7 +10,7 @@ import itertools
 import logging
 import math
 import struct
-from collections.abc import AsyncIterator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -284,12 +284,14 @@ class RecordingPlayer:
         """Publish every message at its time, once through the file."""
         loop = asyncio.get_running_loop()
         started_s, first_ns = loop.time(), None
-        async for message in self._messages():
-            first_ns = message.log_time_ns if first_ns is None else first_ns
-            due_s = started_s + (message.log_time_ns - first_ns) / 1e9 / self._rate
-            # Also when it is late already: clients are served between two messages.
-            await asyncio.sleep(max(0.0, due_s - loop.time()))
-            self._publish(message)
+        chunks = self._recording.chunks()
+        while (messages := await asyncio.to_thread(next, chunks, None)) is not None:
+            for message in messages:
+                first_ns = message.log_time_ns if first_ns is None else first_ns
+                due_s = started_s + (message.log_time_ns - first_ns) / 1e9 / self._rate
+                # Also when it is late already: clients are served between two messages.
+                await asyncio.sleep(max(0.0, due_s - loop.time()))
+                self._publish(message)
 
     def _advertise(self, recorded: RecordedTopic) -> str:
         """Advertise a topic; return the problem, or an empty text."""
@@ -312,16 +314,3 @@ class RecordingPlayer:
             self._unreadable_topics.write(log, logging.WARNING, line, message.topic)
         else:
             self.published += 1
-
-    async def _messages(self) -> AsyncIterator[RecordedMessage]:
-        """Yield the messages of the file; a thread unpacks the next chunk while one is played."""
-        chunks = self._recording.chunks()
-        coming = asyncio.create_task(asyncio.to_thread(next, chunks, None))
-        try:
-            while (messages := await coming) is not None:
-                coming = asyncio.create_task(asyncio.to_thread(next, chunks, None))
-                for message in messages:
-                    yield message
-        finally:
-            # A thread cannot be cancelled, and the file must not be closed while it reads.
-            await asyncio.wait([coming])

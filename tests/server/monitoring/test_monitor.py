@@ -296,6 +296,8 @@ async def test_a_fault_makes_the_server_unready_but_not_dead(served: ServerOnBus
 
 async def test_metrics_follow_what_happens(served: ServerOnBus, client: ArmClient) -> None:
     port = served.server.port
+    # The arm reports on its bus once a second.
+    await client.until("/diagnostics", lambda arrays: len(arrays[-1]["status"]) > 1)
     before = await asyncio.to_thread(metrics, port)
     # Its answer comes after all that was sent before.
     await client.call("/rosapi/get_time")

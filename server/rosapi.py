@@ -18,7 +18,8 @@ from server.errors import ServiceError
 from server.graph.index import TypedNames
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, NameFilter
-from server.graph.services import Call, CompleteResponse, failure_told
+from server.graph.providers import CompleteResponse
+from server.graph.services import Call, failure_told
 from server.graph.topics import Graph
 
 NODE = Node("rosapi")

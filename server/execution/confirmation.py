@@ -9,7 +9,7 @@ from protocol.errors import MessageError, shorten
 from protocol.publication import PublishedMessage
 from server.diagnostic_values import LEVEL_OK, key_values
 from server.execution.goal import Answer, Goal, GoalState, Progress
-from server.execution.motions import PlannedMotion, PlannedSequence
+from server.execution.motions import Performed, PlannedMotion
 from server.graph.permissions import CONFIGURING, WORKING
 from server.graph.topics import Graph
 
@@ -54,7 +54,7 @@ class Confirmation:
 
         goal.answered.add_done_callback(forget)
 
-    async def wait(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
+    async def wait(self, goal: Goal, planned: Performed) -> Answer | None:
         """Wait for the decision on a plan; return None to go on, else the goal's answer."""
         async with self._turn:
             self._waiting, self._decision = goal, asyncio.get_running_loop().create_future()

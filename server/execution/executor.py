@@ -28,7 +28,6 @@ from planners.problem import (
     RecheckAnswer,
     RecheckQuestion,
 )
-from planners.scene import Scene
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
@@ -51,7 +50,6 @@ from server.execution.motions import (
     PathTime,
     Performed,
     PlannedMotion,
-    PlannedSequence,
     Positions,
     SplicePoint,
     plan_sequence,
@@ -250,18 +248,17 @@ class GoalExecutor:
         if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > goal.deadline.limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
-        planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
+        start_rad = {**problem.start_rad, **point.start_rad}
+        planned = Performed(start_rad, scene=scene).with_plan(problem, whole)
         # A scene that has changed since the lead was found free is checked on the way.
         version = scene.version if scene.version == outgoing.version else UNCHECKED
         return await self._play_spliced(goal, planned, version, point)
 
-    async def _play_spliced(
-        self, goal: Goal, planned: PlannedSequence, version: int, point: SplicePoint
-    ) -> Answer | None:
+    async def _play_spliced(self, goal: Goal, planned: Performed, version: int, point: SplicePoint) -> Answer | None:
         """Play a motion in the place of the outgoing one; None where the arm has passed the splice point."""
         self._show_soon(planned)
         self.recorder.start()
-        [motion] = planned.performed.planned
+        [motion] = planned.planned
         answer = await self._play(goal, motion, version, planned.summary, from_s=point.from_s)
         executed = None
         if goal.unlogged:
@@ -271,7 +268,7 @@ class GoalExecutor:
             executed = self.recorder.finish(motion.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
-        return replace(answer, performed=replace(planned.performed, executed=executed))
+        return replace(answer, performed=replace(planned, executed=executed))
 
     async def _attempt(self, goal: Goal, request: PlannedMotion) -> Answer:
         try:
@@ -280,7 +277,7 @@ class GoalExecutor:
             version = self._scene.scene.version
             planned = await self._plan(goal, request)
             if planned.failure is not None:
-                return Answer.of(planned.failure, planned.performed)
+                return Answer.of(planned.failure, planned)
             goal.deadline.limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
             self._show_soon(planned)
             discarded = await self._confirmed(goal, planned) if request.confirm else None
@@ -301,7 +298,7 @@ class GoalExecutor:
             if goal.reason or (joined := self._joined(goal, request, asked_s, horizon_s)) is None:
                 break
             whole, point, arrives_s, passes_s = joined
-            planned = PlannedSequence(Performed({**self._held_rad(), **point.start_rad}, (whole,)))
+            planned = Performed({**self._held_rad(), **point.start_rad}, (whole,))
             goal.defer_replacement()
             await goal.unless_cancelled(self._check(functools.partial(self._questions, whole)))
             self._checks_s.append(self._clock() - asked_s)
@@ -340,7 +337,7 @@ class GoalExecutor:
         held_rad = self._held_rad()
         motion = request.trajectory(held_rad, self._clock(), None)
         goal.deadline.limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-        planned = PlannedSequence(Performed(held_rad, (motion,)))
+        planned = Performed(held_rad, (motion,))
         self._show_soon(planned)
         goal.defer_replacement()
         return await self._play_all(goal, planned, UNCHECKED)
@@ -363,59 +360,56 @@ class GoalExecutor:
             message = f"the arm is being steered and did not come to rest within {STREAMS_TIMEOUT_S:g} s"
             raise refused(MoveItErrorCode.CONTROL_FAILED, message)
 
-    async def _plan(self, goal: Goal, request: PlannedMotion) -> PlannedSequence:
+    async def _plan(self, goal: Goal, request: PlannedMotion) -> Performed:
         """Plan from where the arm holds, and again when it was moved meanwhile.
 
         Other groups may be moving: they are planned for at the end of their motions.
         """
-        found = planned = None
+        planned = None
         for _ in range(MAX_STARTS):
             self._in_progress.withdraw(request.joints)
-            found = await goal.unless_cancelled(self._plan_in_turn(request))
-            if found is None:
+            planned = await goal.unless_cancelled(self._plan_in_turn(request))
+            if planned is None:
                 break
-            planned, scene = found
             if planned.failure is not None:
-                await self._save(planned, scene)
-                explaining = with_nearest_goal(planned.failure, planned.problem, scene, self._context.pool)
+                await self._save(planned, planned.failure)
+                explaining = with_nearest_goal(planned.failure, planned.problem, planned.scene, self._context.pool)
                 return replace(planned, failure=await goal.unless_cancelled(explaining) or planned.failure)
-            if not self._moved_since(planned.performed.start_rad, request.joints):
+            if not self._moved_since(planned.start_rad, request.joints):
                 break
-        if found is None or planned is None:
+        if planned is None:
             goal.check("while planning")
             raise AssertionError("a plan is missing")
         return planned
 
-    async def _plan_in_turn(self, request: PlannedMotion) -> tuple[PlannedSequence, Scene]:
-        """Plan after the goals of other groups that came before; return the scene as well."""
+    async def _plan_in_turn(self, request: PlannedMotion) -> Performed:
+        """Plan after the goals of other groups that came before."""
         async with self._in_progress.turn:
             start_rad = self._expected_rad(request.joints)
             scene = self._scene.scene if request.scene is None else request.scene(start_rad)
             planned = await plan_sequence(request.steps, start_rad, scene, self._context.pool)
             if planned.failure is None:
                 self._in_progress.announce(request.joints, planned.end_rad)
-            return planned, scene
+            return planned
 
-    async def _save(self, planned: PlannedSequence, scene: Scene) -> None:
-        problem, failure = planned.problem, planned.failure
-        if self._context.failed_goals is None or failure is None or not isinstance(problem, PlanningProblem):
-            return
-        if failure.code is not MoveItErrorCode.PREEMPTED:
-            await self._context.failed_goals.save(problem, scene, failure)
+    async def _save(self, planned: Performed, failure: PlanningFailure) -> None:
+        keeper, problem = self._context.failed_goals, planned.problem
+        if keeper and isinstance(problem, PlanningProblem) and failure.code is not MoveItErrorCode.PREEMPTED:
+            await keeper.save(problem, planned.scene, failure)
 
-    def _show_soon(self, planned: PlannedSequence) -> None:
+    def _show_soon(self, planned: Performed) -> None:
         """Show a plan when the arm has it: to write one down for viewers takes milliseconds."""
-        asyncio.get_running_loop().call_soon(self._context.show, planned.performed)
+        asyncio.get_running_loop().call_soon(self._context.show, planned)
 
-    async def _confirmed(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
+    async def _confirmed(self, goal: Goal, planned: Performed) -> Answer | None:
         if self._context.confirmation is None:
             return None
         answer = await goal.unless_cancelled(self._context.confirmation.wait(goal, planned))
         goal.check("before the motion began")
-        return None if answer is None else replace(answer, performed=planned.performed)
+        return None if answer is None else replace(answer, performed=planned)
 
-    async def _play_all(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:
-        motions = planned.performed.planned
+    async def _play_all(self, goal: Goal, planned: Performed, version: int) -> Answer:
+        motions = planned.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
         self.recorder.start()
         to_come_s = planned.duration_s
@@ -425,15 +419,15 @@ class GoalExecutor:
                 answer = await _answered(self._play_one(goal, motion, planned, version, to_come_s))
         executed = self.recorder.finish(motions[0].joint_names if motions else ())
         message = "; ".join((answer.message, *planned.notes))
-        return replace(answer, message=message, performed=replace(planned.performed, executed=executed))
+        return replace(answer, message=message, performed=replace(planned, executed=executed))
 
     async def _play_one(
-        self, goal: Goal, motion: Trajectory, planned: PlannedSequence, version: int, to_come_s: float
+        self, goal: Goal, motion: Trajectory, planned: Performed, version: int, to_come_s: float
     ) -> Answer:
         """Play one of the motions, as soon as it can touch no motion of another group."""
         joints = frozenset(motion.joint_names)
         # Where the other joints were to be while it was planned.
-        assumed_rad = {name: q for name, q in planned.performed.start_rad.items() if name not in joints}
+        assumed_rad = {name: q for name, q in planned.start_rad.items() if name not in joints}
         while True:
             whole = with_lead_in(motion, self._held_rad(), self._context.robot)
             present_version, beside = self._scene.scene.version, self._in_progress.beside(joints)

@@ -26,7 +26,7 @@ from planners.problem import (
     PlanningFailure,
     PlanningProblem,
 )
-from planners.scene import Scene
+from planners.scene import EMPTY_SCENE, Scene
 from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
 from robot.messages import MotionEnded
@@ -86,64 +86,58 @@ Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 
 @dataclass(frozen=True)
 class Performed:
-    """Motions planned for a goal, and the path of the arm by its readings; None when it did not move."""
+    """Motions planned for a goal, and the path of the arm by its readings."""
 
     start_rad: Mapping[str, float]
     planned: tuple[Trajectory, ...] = ()
-    executed: Trajectory | None = None
+    executed: Trajectory | None = None  # None when the arm did not move
     planning_time_s: float = 0.0
-
-
-@dataclass(frozen=True)
-class PlannedSequence:
-    """Result of planning a sequence; the failure says why the next motion is missing."""
-
-    performed: Performed
-    methods: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    failure: PlanningFailure | None = None
-    problem: Problem | None = None
+    methods: tuple[str, ...] = ()  # of planning, for each motion
+    notes: tuple[str, ...] = ()  # sentences on ends that are not at their goals
+    scene: Scene = EMPTY_SCENE  # in which the motions were planned
+    problem: Problem | None = None  # problem that failed, else the first one
+    failure: PlanningFailure | None = None  # reason for which the next motion is missing
 
     @property
     def duration_s(self) -> float:
-        return sum(motion.duration_s for motion in self.performed.planned)
+        return sum(motion.duration_s for motion in self.planned)
 
     @property
-    def end_rad(self) -> Positions:
+    def end_rad(self) -> dict[str, float]:
         """Positions of the joints that move, at the end of the last motion [rad]."""
         ends: dict[str, float] = {}
-        for motion in self.performed.planned:
-            ends |= _end_positions(motion)
+        for motion in self.planned:
+            ends |= zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True)
         return ends
 
     @property
     def summary(self) -> str:
         """Sentence for people: duration, methods and planning time; of a motion that a client sent, the first alone."""
-        planning_s = self.performed.planning_time_s
-        planning = [f"planned in {planning_s * 1e3:.0f} ms"] if planning_s else []
-        found = "; ".join([*([", ".join(self.methods)] if self.methods else []), *planning])
+        planning = f"planned in {self.planning_time_s * 1e3:.0f} ms" if self.planning_time_s else ""
+        found = "; ".join(filter(None, (", ".join(self.methods), planning)))
         return f"a motion of {self.duration_s:.1f} s{f' ({found})' if found else ''}"
 
-    def with_plan(self, plan: Plan | CartesianPlan) -> PlannedSequence:
+    def with_plan(self, problem: Problem, plan: Plan | CartesianPlan) -> Performed:
         note = deviation_note(plan.deviation)
-        performed = replace(
-            self.performed,
-            planned=(*self.performed.planned, plan.trajectory),
-            planning_time_s=self.performed.planning_time_s + plan.planning_time_s,
+        return replace(
+            self,
+            planned=(*self.planned, plan.trajectory),
+            planning_time_s=self.planning_time_s + plan.planning_time_s,
+            methods=(*self.methods, plan.method if isinstance(plan, Plan) else "path of the tip"),
+            notes=(*self.notes, note) if note else self.notes,
+            problem=self.problem or problem,
         )
-        method = plan.method if isinstance(plan, Plan) else "path of the tip"
-        return PlannedSequence(performed, (*self.methods, method), (*self.notes, note) if note else self.notes)
 
 
 async def plan_sequence(
     steps: Sequence[MotionStep], start_rad: Positions, scene: Scene, planners: Planners
-) -> PlannedSequence:
+) -> Performed:
     """Plan all steps, or those before the first that cannot be planned."""
-    now_rad, planned = dict(start_rad), PlannedSequence(Performed(start_rad))
+    planned = Performed(start_rad, scene=scene)
     for number, step in enumerate(steps):
         problem = None
         try:
-            problem = step.problem(now_rad)
+            problem = step.problem({**start_rad, **planned.end_rad})
             plan = await _plan(problem, scene, planners)
         except RefusedError as error:
             failure = error.failure
@@ -151,14 +145,8 @@ async def plan_sequence(
                 details = {**failure.details, "item": number}
                 failure = replace(failure, message=f"items[{number}]: {failure.message}", details=details)
             return replace(planned, failure=failure, problem=problem)
-        planned = planned.with_plan(plan)
-        # A new mapping: the problem keeps the one it was made for.
-        now_rad = {**now_rad, **_end_positions(plan.trajectory)}
+        planned = planned.with_plan(problem, plan)
     return planned
-
-
-def _end_positions(motion: Trajectory) -> dict[str, float]:
-    return dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
 
 
 async def _plan(problem: Problem, scene: Scene, planners: Planners) -> Plan | CartesianPlan:

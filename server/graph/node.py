@@ -1,28 +1,19 @@
 """Participants of the graph."""
 
+from dataclasses import dataclass, field
+
 from server.graph.permissions import ANYONE, Identity, Role
 
 
+@dataclass(eq=False, repr=False)
 class Node:
-    """Participant in the graph: a client (``remote``), or a part of the server, whose names no client may take.
+    """Participant in the graph: a client (``remote``), or a part of the server, whose names no client may take."""
 
-    ``takes_goals_along`` cancels its goals when it leaves; ``identity`` is None until a client has authenticated.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        *,
-        remote: bool = False,
-        takes_goals_along: bool = False,
-        identity: Identity | None = ANYONE,
-        address: str = "",
-    ) -> None:
-        self.name = name
-        self.remote = remote
-        self.takes_goals_along = takes_goals_along
-        self.identity = identity
-        self.address = address
+    name: str
+    remote: bool = field(default=False, kw_only=True)
+    takes_goals_along: bool = field(default=False, kw_only=True)  # True to cancel its goals when it leaves
+    identity: Identity | None = field(default=ANYONE, kw_only=True)  # None until a client has authenticated
+    address: str = field(default="", kw_only=True)
 
     @property
     def is_viewer(self) -> bool:

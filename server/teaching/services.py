@@ -12,7 +12,8 @@ from robot.messages import ArmState, Mode
 from robot.trajectory import Vector
 from server.errors import ServiceError
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
-from server.graph.services import CompleteResponse, Work, telling
+from server.graph.providers import CompleteResponse
+from server.graph.services import Work, telling
 from server.graph.topics import Graph
 from server.lifecycle import Feature
 from server.moveit.messages import Message

@@ -20,7 +20,7 @@ from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.node import Node
 from server.graph.permissions import GOAL, PLANNING_GOAL
-from server.graph.services import CompleteResponse
+from server.graph.providers import CompleteResponse
 from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import (
     answer_of_task,
@@ -259,10 +259,10 @@ async def plan_steps(
     if planned.failure is not None:
         context.display.contacts_of(planned.failure.details)
         failure = await with_nearest_goal(planned.failure, planned.problem, scene, context.pool)
-        return Answer.of(failure, planned.performed)
-    context.display.performed(planned.performed)
+        return Answer.of(failure, planned)
+    context.display.performed(planned)
     message = "; ".join((planned.summary, *planned.notes, *start.warnings, *warnings))
-    return Answer(MoveItErrorCode.SUCCESS, message, performed=planned.performed)
+    return Answer(MoveItErrorCode.SUCCESS, message, performed=planned)
 
 
 def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:

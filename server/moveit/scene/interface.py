@@ -15,7 +15,8 @@ from server.errors import RefusedError
 from server.execution.monitors import CurrentState, state_message
 from server.graph.list_limits import ListLimits
 from server.graph.permissions import LOOKING, WORKING
-from server.graph.services import Call, CompleteResponse, answer
+from server.graph.providers import CompleteResponse
+from server.graph.services import Call, answer
 from server.graph.topics import Graph, LocalNode
 from server.moveit.messages import Message, write_pose, write_transform
 from server.moveit.parameters import MoveItParameters

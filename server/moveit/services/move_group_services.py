@@ -23,7 +23,8 @@ from server.execution.monitors import state_message
 from server.execution.motions import Problem, deviation_note, plan_sequence
 from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
-from server.graph.services import Answered, Call, CompleteResponse, answer
+from server.graph.providers import CompleteResponse
+from server.graph.services import Answered, Call, answer
 from server.graph.topics import Graph
 from server.moveit.goals.goal_messages import with_suggestion
 from server.moveit.messages import Message, error_code, pose_of, success, write_pose
@@ -210,7 +211,7 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     steps = [RequestStep(context.problems, item) for item in requests]
     start = context.start(requests[0]["start_state"], caller)
     planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool)
-    root, performed, failure = context.robot.root_link, planned.performed, planned.failure
+    root, performed, failure = context.robot.root_link, planned, planned.failure
     if failure is not None:
         failure = await explained(failure, planned.problem, start.scene, context)
     start_state = state_message(dict(start.start_rad), root, 0.0)

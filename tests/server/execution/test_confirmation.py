@@ -8,7 +8,7 @@ from harness.waiting import TIMEOUT_S
 from planners.problem import MoveItErrorCode
 from server.execution import confirmation
 from server.execution.goal import Goal, GoalRequest, GoalState, Progress
-from server.execution.motions import Performed, PlannedMotion, PlannedSequence
+from server.execution.motions import Performed, PlannedMotion
 from server.graph.node import Node
 from server.graph.topics import Graph
 from tests.helpers.fake_arm import settle
@@ -40,7 +40,7 @@ async def gate() -> Gate:
     return Gate()
 
 
-PLANNED = PlannedSequence(Performed({}), ("RRTConnect",))
+PLANNED = Performed({}, methods=("RRTConnect",))
 
 
 def goal(number: str = "7", on_progress: Any = None, *, proposed: bool = False) -> Goal:

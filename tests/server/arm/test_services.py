@@ -103,14 +103,6 @@ async def test_an_obstacle_is_answered_with_the_fault_until_it_is_gone(client: A
     await client.until_mode("holding")
 
 
-async def test_a_fault_cannot_be_reset_while_its_cause_lasts(client: ArmClient, served: ServerOnBus) -> None:
-    served.emulator.command(offline=[3])
-    await client.until_mode("fault")
-    refused = await client.call("/arm/reset_fault")
-    assert not refused["success"]
-    assert "elbow_flex" in refused["message"]
-
-
 class Desk:
     """The services of one arm's pace, and those of one of several."""
 

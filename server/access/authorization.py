@@ -25,8 +25,7 @@ from server.access.one_time_tokens import VALID_FOR_S, OneTimeTokens
 from server.access.rate_limits import RateLimiter
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
-from server.graph.node import Node
-from server.graph.permissions import CANCELLING, GOAL, LOOKING, WORKING, Identity, NameFilter, Role, Rule
+from server.graph.permissions import CANCELLING, GOAL, LOOKING, WORKING, Identity, NameFilter, Node, Role, Rule
 from server.graph.topics import Graph
 
 # Suffixes of the names by which actions are cancelled and, as actionlib's topics, sent.

@@ -11,10 +11,9 @@ from typing import Any, Literal, TypeAlias
 
 from server.diagnostic_values import LEVEL_OK, key_values
 from server.execution.queue import RunningGoal
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.permissions import LOOKING, WORKING, Role
+from server.graph.permissions import LOOKING, WORKING, Node, Role
 from server.graph.services import Call, answer
+from server.graph.topics import LocalGraph
 from server.timers import CallLater, call_later
 
 Policy: TypeAlias = Literal["lease", "shared"]
@@ -187,16 +186,15 @@ class ControlServices:
         clock: Callable[[], float] = time.monotonic,
         call_later: CallLater = call_later,
     ) -> None:
-        self._graph = graph
         self._lease = lease
         self._clock = clock
         self._call_later = call_later
-        self._node = Node("arm control")
-        graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        self._node = graph.node("arm control")
+        self._node.advertise(TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         for name, change in ((TAKE_SERVICE, lease.drive), (RELEASE_SERVICE, lease.release)):
             serve = functools.partial(self._answer, change)
-            graph.offer_calls(self._node, name, "std_srvs/Trigger", serve, rule=WORKING)
-        graph.offer_calls(self._node, WHO_SERVICE, "std_srvs/Trigger", self._who, rule=LOOKING)
+            self._node.offer_calls(name, "std_srvs/Trigger", serve, rule=WORKING)
+        self._node.offer_calls(WHO_SERVICE, "std_srvs/Trigger", self._who, rule=LOOKING)
         lease.watchers.append(self._publish)
         self._publish()
         self._timer = call_later(BEAT_S, self._beat)
@@ -239,4 +237,4 @@ class ControlServices:
             "hardware_id": values["holder"],
             "values": key_values(values),
         }
-        self._graph.publish(self._node, TOPIC, status)
+        self._node.publish(TOPIC, status)

@@ -131,8 +131,8 @@ class ArmGoals(Feature):
     def _offer(self, arm: ArmContext) -> None:
         """Offer goals of an arm; goals of several arms are published by the names of each arm that they move too."""
         graph, goals, planning = arm.graph, arm.goals, arm.planning
-        goals.queue.listeners.append(GoalStatusTopics(graph, arm.node, planning.robot, arm.only_joints))
-        GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
+        goals.queue.listeners.append(GoalStatusTopics(arm.node, planning.robot, arm.only_joints))
+        GoalTopics(arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
         GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
         default = planning_group(planning.robot, "", arm.parameters).name
         trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)

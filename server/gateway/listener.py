@@ -28,7 +28,7 @@ from server.gateway.settings import ServerSettings
 from server.gateway.transport import TcpStream, Transport, keep_alive
 from server.gateway.turns import Threads, Turns
 from server.gateway.websocket import WebSocket
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.timers import CallLater, call_later
 

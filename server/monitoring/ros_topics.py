@@ -22,7 +22,6 @@ from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.topics import status
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
 from server.graph.list_limits import ListLimits
-from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING
 from server.graph.topics import Graph
 
@@ -63,15 +62,14 @@ class Diagnostics:
         fault_file: Callable[[], Path | None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._graph = graph
         self._robot_name = robot_name
         self._fault_file = fault_file
-        self._node = Node("diagnostics")
+        self._node = graph.node("diagnostics")
         self._clock = clock
         self._state: ArmState | None = None
         self._state_at_s = 0.0
         self._health: ArmHealth | None = None
-        graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticArray")
+        self._node.advertise(TOPIC, "diagnostic_msgs/DiagnosticArray")
 
     async def run(self) -> None:
         """Publish regularly from the first state on, until cancelled."""
@@ -86,13 +84,13 @@ class Diagnostics:
         message = diagnostic_array(
             state,
             health,
-            self._graph.message_types.wall_clock(),
+            self._node.message_types.wall_clock(),
             self._robot_name,
             now_s - self._state_at_s,
             health_age_s,
             self._fault_file(),
         )
-        self._graph.publish(self._node, TOPIC, message)
+        self._node.publish(TOPIC, message)
 
     def take_state(self, state: ArmState) -> None:
         self._state, self._state_at_s = state, self._clock()
@@ -249,11 +247,10 @@ class Rosout(logging.Handler):
 
     def __init__(self, graph: Graph, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__()
-        self._graph = graph
         self._loop = loop
-        self._node = Node("rosout")
+        self._node = graph.node("rosout")
         self._waiting = 0
-        graph.advertise(self._node, ROSOUT_TOPIC, "rcl_interfaces/msg/Log", depth=LOG_DEPTH)
+        self._node.advertise(ROSOUT_TOPIC, "rcl_interfaces/msg/Log", depth=LOG_DEPTH)
         logging.getLogger(OUR_LOGGER).addHandler(self)
 
     def close(self) -> None:
@@ -269,7 +266,7 @@ class Rosout(logging.Handler):
 
     def _publish(self, message: dict[str, Any]) -> None:
         self._waiting -= 1
-        self._graph.publish(self._node, ROSOUT_TOPIC, message)
+        self._node.publish(ROSOUT_TOPIC, message)
 
 
 def log_message(record: logging.LogRecord) -> dict[str, Any]:
@@ -287,14 +284,10 @@ def log_message(record: logging.LogRecord) -> dict[str, Any]:
 
 def offer_level_services(graph: Graph) -> None:
     """Offer the services that get and set the levels of loggers."""
-    node = Node(OUR_LOGGER)
+    node = graph.node(OUR_LOGGER)
     getting, setting = "rcl_interfaces/srv/GetLoggerLevels", "rcl_interfaces/srv/SetLoggerLevels"
-    graph.services.offer(
-        node, GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"), rule=LOOKING
-    )
-    graph.services.offer(
-        node, SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"), rule=CONFIGURING
-    )
+    node.offer(GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"), rule=LOOKING)
+    node.offer(SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"), rule=CONFIGURING)
 
 
 def _limits(field: str) -> ListLimits:

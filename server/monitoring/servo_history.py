@@ -13,7 +13,6 @@ import numpy as np
 
 from robot.faults import ServoAlert
 from robot.messages import ArmHealth, ArmState, Mode
-from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
 
@@ -52,7 +51,7 @@ class ServoHistory:
         # Warnings of each joint by alert and register, and its errors.
         self._warnings: dict[str, Mapping[tuple[ServoAlert, str], str]] = {}
         self._errors: dict[str, Mapping[str, int]] = {}
-        graph.services.offer(Node("servo history"), SERVICE, SERVICE_TYPE, self._serve, rule=LOOKING)
+        graph.node("servo history").offer(SERVICE, SERVICE_TYPE, self._serve, rule=LOOKING)
 
     def take_state(self, state: ArmState) -> None:
         before, self._state = self._state, state

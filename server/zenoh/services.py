@@ -20,7 +20,8 @@ from server.arrival import arrived_in
 from server.errors import GraphError, ServiceError
 from server.graph.actions import ENDED_KEPT_S, MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
-from server.graph.services import LOCAL_TIMEOUT_S, CompleteResponse, Response, answer
+from server.graph.providers import CompleteResponse
+from server.graph.services import LOCAL_TIMEOUT_S, Response, answer
 from server.timers import call_in_loop
 from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of

@@ -17,10 +17,9 @@ from robot.trajectory import rest_to_rest
 from server.errors import RefusedError, ServiceError
 from server.execution.motions import Positions
 from server.graph.list_limits import ListLimits
-from server.graph.node import Node
 from server.graph.permissions import PLANNING
 from server.graph.topics import Graph
-from server.moveit.goals.goal_messages import JOINTS_TOPIC, POSE_TOPIC, GoalTranslator
+from server.moveit.goals.goal_topics import JOINTS_TOPIC, POSE_TOPIC, GoalTranslator
 from server.moveit.messages import Message, matrix_of
 from server.moveit.requests.planning_context import PlanningContext
 
@@ -82,8 +81,8 @@ def offer_goal_checks(graph: Graph, translator: GoalTranslator, planning: Planni
 
     # Each may be the only ones; both together are counted in the call.
     limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in ("poses", "joints")})
-    node = Node("goal checks")
-    graph.services.offer(node, SERVICE, "armbridge_msgs/CheckGoals", check, limits=limits, rule=PLANNING)
+    node = graph.node("goal checks")
+    node.offer(SERVICE, "armbridge_msgs/CheckGoals", check, limits=limits, rule=PLANNING)
 
 
 def _problem(

@@ -11,8 +11,7 @@ from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
 from server.access.settings import AccessSettings
 from server.graph import permissions
-from server.graph.node import Node
-from server.graph.permissions import ANYONE, WORKING, Identity, NameFilter, Role
+from server.graph.permissions import ANYONE, WORKING, Identity, NameFilter, Node, Role
 from server.graph.topics import Graph, Subscriber
 from server.moveit.services import description
 from tests.helpers.clock import FakeClock

@@ -19,7 +19,7 @@ from server.gateway import listener as listener_module
 from server.gateway.admission import ConnectionLimiter
 from server.gateway.listener import LIST_PERIOD_S, SPARE, ClientList, Listener, Tls, listen
 from server.gateway.settings import ServerSettings
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import (

@@ -154,7 +154,6 @@ async def test_a_relaxed_follower_does_not_begin(client: ArmClient) -> None:
         ({"follower": "", "leader": "follower"}, "leader: must be an arm that leads (leader) or a topic"),
         ({"follower": "", "leader": "/silent"}, "leader: /silent has sent nothing for 1 s"),
         ({"follower": "", "leader": "/joint_states"}, "leader: must not be /joint_states"),
-        ({"follower": "", "leader": "leader", "scale": -1.0}, "scale: must be above 0"),
     ],
 )
 async def test_an_impossible_following_is_refused(client: ArmClient, request_: dict[str, Any], said: str) -> None:

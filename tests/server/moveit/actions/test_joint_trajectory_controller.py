@@ -16,7 +16,7 @@ from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalState, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Performed
 from server.graph.actions import GoalStatus
-from server.graph.local_graph import LocalGraph
+from server.graph.topics import LocalGraph
 from server.moveit.actions.joint_trajectory_controller import (
     INDUSTRIAL_ACTION,
     FollowCode,

@@ -289,7 +289,7 @@ def test_a_client_that_uses_many_topics_takes_no_more_memory_for_it() -> None:
     authorizer = World().authorizer()
     for number in range(2 * MAX_SETTLED):
         assert asked(authorizer, "publish", f"/t{number}") is None
-    assert len(authorizer._settled) == MAX_SETTLED
+    assert len(authorizer.settled) == MAX_SETTLED
 
 
 def test_an_auth_without_a_token_names_the_missing_field() -> None:

@@ -27,7 +27,7 @@ SERVICE = "/check_goals"
 
 MAX_GOALS = 100
 
-# The planners' time for a goal on average, of 5 ms in all: most need a millisecond.
+# Time of the planners for a goal on average, of 5 ms in all: most need a millisecond.
 GOAL_TIME_S = 0.004
 
 # Few goals have time for the nearest point as well, where a gizmo out of reach is drawn; 20 times a second is smooth.
@@ -100,7 +100,7 @@ def _problem(
 async def answers_in_time(
     problems: list[PlanningProblem | PlanningFailure], pool: Planners, scene: Scene
 ) -> list[IkAnswer | PlanningFailure]:
-    """Answer all goals: each may take its share of the time left, of which quick ones leave the most to the others."""
+    """Answer all goals: each may take its share of the time left, and quick goals leave theirs to the later ones."""
     until_s = time.monotonic() + max(GOAL_TIME_S * len(problems), MIN_CALL_S)
     answers = []
     for done, problem in enumerate(problems):

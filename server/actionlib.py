@@ -15,7 +15,7 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.graph.actions import ActionGoal, GoalStatus, Result
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.timers import CallLater
 

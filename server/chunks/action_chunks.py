@@ -33,8 +33,7 @@ from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Me
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
-from server.graph.node import Node
-from server.graph.permissions import GOAL, STOPPING, WORKING
+from server.graph.permissions import GOAL, STOPPING, WORKING, Node
 from server.graph.services import Call
 from server.graph.services import answer as answer_call
 from server.graph.topics import LocalGraph

@@ -24,8 +24,7 @@ from server.datasets.episodes import (
 )
 from server.diagnostic_values import LEVEL_OK, LEVEL_WARN, key_values
 from server.errors import ServiceError
-from server.graph.node import Node
-from server.graph.permissions import WORKING
+from server.graph.permissions import WORKING, Node
 from server.graph.services import answering
 from server.graph.topics import Graph, Subscriber
 

@@ -16,7 +16,7 @@ from robot.messages import MotionEnded, MotionProgress, Outcome, Pace, PlaybackD
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import refused
 from server.execution.motions import Joints, Motion, Performed, Positions
-from server.graph.node import Node
+from server.graph.permissions import Node
 
 Result = TypeVar("Result")
 

@@ -25,7 +25,7 @@ from server.graph.topics import Graph, LocalGraph, LocalNode
 from server.monitoring.monitor import GoalCounters
 from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
-from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator
+from server.moveit.goals.goal_topics import GoalOptions, GoalTranslator
 from server.moveit.named_states import NamedStates, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import planning_group

@@ -39,7 +39,7 @@ from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.errors import GraphError
 from server.gateway.turns import Turns
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 
 if TYPE_CHECKING:

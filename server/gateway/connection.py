@@ -13,8 +13,7 @@ from protocol.session import Session
 from server.gateway.client import Client
 from server.gateway.client_context import ClientContext, Gateway
 from server.gateway.transport import Transport
-from server.graph.node import Node
-from server.graph.permissions import Role, display_name
+from server.graph.permissions import Node, Role, display_name
 
 log = logging.getLogger("armbridge.gateway")
 

@@ -20,8 +20,7 @@ from server.arrival import arrived_in
 from server.gateway.connection import goals_end_with_client
 from server.gateway.http import HttpResponse, PostedRequest
 from server.graph.actions import GoalStatus, Result
-from server.graph.node import Node
-from server.graph.permissions import Rule, display_name
+from server.graph.permissions import Node, Rule, display_name
 from server.graph.services import MAX_TIMEOUT_S, Response
 from server.graph.topics import Graph
 

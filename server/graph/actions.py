@@ -21,8 +21,7 @@ from protocol.operations import Mark
 from server.errors import GraphError
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
-from server.graph.node import Node
-from server.graph.permissions import Rule
+from server.graph.permissions import Node, Rule
 from server.graph.providers import PendingRequest, Provider, Providers
 from server.timers import CallLater
 

@@ -14,8 +14,7 @@ from server.errors import GraphError
 from server.graph.index import Index, TypedNames
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
-from server.graph.node import Node
-from server.graph.permissions import Rule
+from server.graph.permissions import Node, Rule
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")

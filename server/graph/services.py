@@ -17,8 +17,7 @@ from robot.errors import RobotError
 from server.errors import RefusedError, ServerError, ServiceError, UnsuccessfulError
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
-from server.graph.node import Node
-from server.graph.permissions import Rule
+from server.graph.permissions import Node, Rule
 from server.graph.providers import CompleteResponse, PendingRequest, Providers
 from server.timers import CallLater
 

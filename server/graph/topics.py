@@ -29,8 +29,7 @@ from server.graph.index import Index, TypedNames
 from server.graph.latching import LatchedMessages
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes, ReceivedMessage
-from server.graph.node import Node
-from server.graph.permissions import Rule
+from server.graph.permissions import Node, Rule
 from server.graph.services import DEFAULT_LIMITS, LOCAL_TIMEOUT_S, Call, ServiceFunction, Services, answer
 from server.timers import CallLater, call_later
 

@@ -15,8 +15,7 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import is_stopped
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
-from server.graph.node import Node
-from server.graph.permissions import STOPPING, SWITCHING
+from server.graph.permissions import STOPPING, SWITCHING, Node
 from server.graph.services import telling
 from server.graph.topics import Graph, LocalNode, Subscriber
 from server.lifecycle import Feature

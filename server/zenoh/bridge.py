@@ -11,8 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
-from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import Identity, Node, Role
 from server.graph.topics import Graph
 from server.zenoh.network import ACTION_PARTS, Network, SharedNames
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens

@@ -17,7 +17,7 @@ from protocol.errors import InterfaceError
 from protocol.registry import Registry
 from robot.logs import LogLimiter
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.zenoh.rmw import Endpoint, LivelinessTokens, is_name
 from server.zenoh.session import SessionThread

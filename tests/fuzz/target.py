@@ -24,8 +24,7 @@ from server.access.settings import AccessSettings
 from server.gateway.client import Client
 from server.gateway.client_context import ClientContext, Gateway
 from server.gateway.turns import Turns, encode_or_log
-from server.graph.node import Node
-from server.graph.permissions import ANYONE, Identity, Role
+from server.graph.permissions import ANYONE, Identity, Node, Role
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.helpers.clock import FakeClock

@@ -27,8 +27,7 @@ from server.gateway.http import HttpHandler
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.gateway.turns import Turns, encode_or_log
-from server.graph.node import Node
-from server.graph.permissions import ANYONE, Identity
+from server.graph.permissions import ANYONE, Identity, Node
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES

@@ -5,7 +5,7 @@ import pytest
 from protocol.dialect import to_ros1
 from server.actionlib import MAX_GOALS, ActionlibStatus, bridge_actions, has_actionlib_types
 from server.graph.actions import ActionGoal, GoalStatus
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock
 from tests.helpers.messages import REGISTRY

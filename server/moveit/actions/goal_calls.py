@@ -4,7 +4,6 @@ A request has one goal of those that ``/moveit_goal_*`` take, and goes their way
 confirmation and status. The answer comes at the end of the motion.
 """
 
-import asyncio
 import functools
 import logging
 from collections.abc import Callable, Mapping
@@ -21,21 +20,20 @@ from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
-from server.graph.node import Node
-from server.graph.permissions import CALLED_GOAL
+from server.graph.permissions import CALLED_GOAL, Node
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
 from server.graph.topics import LocalGraph
-from server.moveit.actions.goal_bridge import answer_of_task, cancel_with_goal, goal_status
+from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status, plan_without_moving
 from server.moveit.actions.move_group import plan_steps
-from server.moveit.goals.goal_messages import (
+from server.moveit.goals.goal_topics import (
     JOINTS_TOPIC,
     NAMED_TOPIC,
     POSE_TOPIC,
     TARGET_FIELDS,
     GoalTranslator,
+    details_as_json,
     suggestion,
 )
-from server.moveit.goals.goal_topics import details_as_json
 from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
 
@@ -128,9 +126,8 @@ class GoalCalls:
             log.warning("%s: %s", self._name, warning)
         if request["plan_only"]:
             report(Progress(GoalState.PLANNING, "planning"))
-            task = asyncio.create_task(self._plan(motion, client), name=f"plan for {self._name}")
-            task.add_done_callback(lambda done: end(self._result(message, answer_of_task(done))))
-            return lambda _reason: task.cancel()
+            work = self._plan(motion, client)
+            return plan_without_moving(work, self._name, lambda answer: end(self._result(message, answer)))
         motion = replace(motion, confirm=proposed or self._confirmation.enabled, proposed=proposed)
         # A proposal neither preempts a motion nor is refused for one.
         policy = GoalPolicy.QUEUE if proposed else None

@@ -18,20 +18,19 @@ from server.execution.monitors import state_message
 from server.execution.motions import Motion, MotionStep, Performed, PlannedMotion, Positions, plan_sequence
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
-from server.graph.node import Node
-from server.graph.permissions import GOAL, PLANNING_GOAL
+from server.graph.permissions import GOAL, PLANNING_GOAL, Node
 from server.graph.providers import CompleteResponse
 from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import (
-    answer_of_task,
     cancel_with_goal,
     finish_goal,
     goal_status,
+    plan_without_moving,
     reject_goal,
     submit_goal,
 )
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, check_duration
-from server.moveit.goals.goal_messages import with_suggestion
+from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, RequestStep, sequence_requests
@@ -166,10 +165,9 @@ def _answer_with_plan(
     goal: ActionGoal, planning_goal: PlanningGoal, context: PlanningContext, result: Callable[[Answer], Message]
 ) -> None:
     goal.feedback({"state": PLANNING})
-    task = asyncio.create_task(plan_only(planning_goal, goal.sender, context), name=f"plan for {goal.action}")
-    task.add_done_callback(lambda planned: _finish(goal, answer_of_task(planned), result))
+    work = plan_only(planning_goal, goal.sender, context)
     # The goal keeps the task alive, which the event loop does not.
-    cancel_with_goal(goal, lambda _reason: task.cancel())
+    cancel_with_goal(goal, plan_without_moving(work, goal.action, lambda answer: _finish(goal, answer, result)))
 
 
 def read_planning_goal(requests: Sequence[Message], message: Message) -> PlanningGoal:

@@ -19,7 +19,7 @@ from server.execution.motions import Positions
 from server.graph.list_limits import ListLimits
 from server.graph.permissions import PLANNING
 from server.graph.topics import Graph
-from server.moveit.goals.goal_messages import JOINTS_TOPIC, POSE_TOPIC, GoalTranslator
+from server.moveit.goals.goal_topics import JOINTS_TOPIC, POSE_TOPIC, GoalTranslator
 from server.moveit.messages import Message, matrix_of
 from server.moveit.requests.planning_context import PlanningContext
 

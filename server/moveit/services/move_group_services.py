@@ -21,12 +21,11 @@ from server.errors import RefusedError, ServiceError, UnsuccessfulError, require
 from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
 from server.execution.motions import Problem, deviation_note, plan_sequence
-from server.graph.node import Node
-from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
+from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Node, Rule
 from server.graph.providers import CompleteResponse
 from server.graph.services import Answered, Call, answer
 from server.graph.topics import Graph
-from server.moveit.goals.goal_messages import with_suggestion
+from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code, pose_of, success, write_pose
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.requests.constraints import known_link, read_path_constraints

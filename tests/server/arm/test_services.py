@@ -8,7 +8,7 @@ from harness.server import ServerOnBus
 from protocol.errors import MessageError
 from robot.messages import ChangePace
 from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, offer_pace
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, LocalGraph
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.graph import answered

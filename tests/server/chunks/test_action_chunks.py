@@ -18,7 +18,7 @@ from server.chunks.action_chunks import ACTION_TYPE, MAX_JUMP_RAD, PAUSE_S, Poli
 from server.chunks.gripper import SETTLES_S
 from server.execution.executor import CHECKS_AHEAD
 from server.execution.motions import SENDINGS_S
-from server.graph.node import Node
+from server.graph.permissions import Node
 from tests.helpers import stage as stage_module
 from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.fake_arm import HOME

@@ -9,7 +9,7 @@ from planners.problem import MoveItErrorCode
 from server.execution import confirmation
 from server.execution.goal import Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from tests.helpers.fake_arm import settle
 from tests.helpers.graph import answered, listen

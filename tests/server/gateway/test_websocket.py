@@ -28,7 +28,7 @@ from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import OUT_OF_MEMORY, WRITE_LIMIT_BYTES
 from server.gateway.websocket import WebSocket
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.gateway import (
     TIMEOUT_S,

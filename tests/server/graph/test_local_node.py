@@ -4,8 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from server.graph.actions import ActionGoal, GoalStatus, Result
-from server.graph.node import Node
-from server.graph.permissions import GOAL, STOPPING
+from server.graph.permissions import GOAL, STOPPING, Node
 from server.graph.topics import Graph, LocalGraph
 from tests.helpers.graph import listen
 from tests.helpers.messages import REGISTRY

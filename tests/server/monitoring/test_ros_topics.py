@@ -13,7 +13,7 @@ from robot import logs as changed
 from robot.faults import REMEDIES, SIMULATED_REMEDIES, Fault, FaultCode, ServoAlert, ServoWarning
 from robot.hardware.interface import StatusFlag
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from server.monitoring import ros_topics
 from server.monitoring.ros_topics import GET_LEVELS, MAX_REQUESTED, MAX_WAITING, SET_LEVELS, Rosout

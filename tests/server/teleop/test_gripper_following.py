@@ -15,7 +15,7 @@ from protocol.publication import PublishedMessage
 from robot.control.pacing import PERIOD_S
 from server.datasets.export import ExportOptions, export
 from server.datasets.samples import LEADER_TOPIC, STATE_TOPIC
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Subscriber
 from server.recording.files import RecordedMessage
 from tests.helpers.arm_rig import NAMES

@@ -7,7 +7,7 @@ import pytest
 
 from protocol.publication import PublishedMessage
 from server.errors import ServiceError
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.interfaces import load_registry
 from server.teleop.following import STALE_S
 from server.teleop.teleoperation import MAX_JOINTS, Leader, read_sample

@@ -9,7 +9,7 @@ import pytest
 from protocol.codecs import cdr
 from protocol.errors import MessageError
 from server.graph.message_types import BYTES_AT_ONCE
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.zenoh import network

@@ -11,8 +11,7 @@ from planners.problem import MoveItErrorCode
 from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, GoalPolicy
 from server.graph.actions import GoalStatus
-from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import Identity, Node, Role
 from server.graph.services import Response
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_calls import NAME, GoalCalls

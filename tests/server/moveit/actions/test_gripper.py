@@ -14,7 +14,7 @@ from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.goal import BRAKING_TIMEOUT_S, TimeLimits
 from server.graph.actions import Result
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, LocalGraph
 from server.moveit.actions.gripper import (
     FETCH_ACTION,

@@ -13,7 +13,7 @@ from planners.scene import EMPTY_SCENE, Scene
 from robot.trajectory import Trajectory
 from server.execution.goal import Answer, Goal, GoalRequest
 from server.execution.motions import Performed, PlannedMotion
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.moveit.goals.goal_history import GoalHistory
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ServiceRig

@@ -9,7 +9,7 @@ from harness.clients import values_of
 from protocol.errors import MessageError
 from server.execution import confirmation
 from server.execution.goal import Answer, Goal, GoalState, Progress
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Subscriber
 from server.moveit.goals import goal_topics
 from tests.helpers.fake_arm import settle

@@ -14,7 +14,7 @@ from planners.scene import EMPTY_SCENE, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrived_in
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, LocalGraph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.servo import servo_node

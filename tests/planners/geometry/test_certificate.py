@@ -18,7 +18,6 @@ from planners.geometry.certificate import (
     line_free,
 )
 from planners.geometry.collision import CollisionModel
-from planners.geometry.joint_space import JointSpace
 from planners.pipeline import Planner
 from planners.problem import ConcurrencyQuestion, MoveItErrorCode, PlanningFailure
 from planners.scene import Box

@@ -211,7 +211,7 @@ class CollisionModel:
         pair = self._broadphase.touches(q)
         if pair is None:
             return False
-        # Looking at all pairs takes as long again.
+        # A check of every pair takes as long again.
         if not (self._names[pair] in refined or self._names[pair] in allowed or pair in self._unchanged):
             return True
         return self._any_touches(self._touching(q), allowed, refined)

@@ -300,13 +300,11 @@ class AllowedOrigins:
         theirs = read_authority(rest) if separator and scheme in _PORTS else None
         if theirs is None:
             return False
-        return theirs.is_loopback or self._is_own(scheme, theirs, host, "https" if encrypted else "http")
-
-    def _is_own(self, scheme: str, theirs: Authority, host: Authority, own_scheme: str) -> bool:
+        own_scheme = "https" if encrypted else "http"
         usual_port = _PORTS[own_scheme]
         port = theirs.port or usual_port
         own_port = port == (host.port or usual_port) or port in self._classroom_ports
-        return scheme == own_scheme and theirs.host == host.host and own_port
+        return theirs.is_loopback or (scheme == own_scheme and theirs.host == host.host and own_port)
 
 
 class HandshakeRequest(NamedTuple):

@@ -15,7 +15,7 @@ from robot.arm_group import AnyArm
 from robot.messages import MotionEnded, MotionProgress, Outcome, Pace, PlaybackDirection
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import refused
-from server.execution.motions import Joints, Motion, Performed, Positions
+from server.execution.motions import NOTHING, Joints, Motion, Performed, Positions
 from server.graph.permissions import Node
 
 Result = TypeVar("Result")
@@ -132,10 +132,10 @@ class Answer:
     code: MoveItErrorCode
     message: str
     details: Mapping[str, Any] = field(default_factory=dict)
-    performed: Performed | None = None
+    performed: Performed = NOTHING
 
     @classmethod
-    def of(cls, failure: PlanningFailure, performed: Performed | None = None) -> Answer:
+    def of(cls, failure: PlanningFailure, performed: Performed = NOTHING) -> Answer:
         return cls(failure.code, failure.message, failure.details, performed)
 
 

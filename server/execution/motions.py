@@ -129,6 +129,9 @@ class Performed:
         )
 
 
+NOTHING = Performed({})
+
+
 async def plan_sequence(
     steps: Sequence[MotionStep], start_rad: Positions, scene: Scene, planners: Planners
 ) -> Performed:

@@ -59,7 +59,7 @@ def offer_replay(graph: Graph, planning: PlanningContext, motions: MotionFiles, 
 
             def end(answer: Answer) -> None:
                 """End the goal, and log where the replay was slower than asked for."""
-                made = () if answer.performed is None else answer.performed.planned
+                made = answer.performed.planned
                 slowed = taught.slowed(speed, made[-1], planning.robot) if made else ""
                 if slowed:
                     log.info("the replay of %r took %s", name, slowed)

@@ -15,7 +15,7 @@ from server.diagnostic_values import key_values
 from server.errors import RefusedError, invalid, refused
 from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
-from server.execution.motions import Performed, PlannedMotion
+from server.execution.motions import PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import ActionGoal
@@ -151,7 +151,7 @@ class GoalCalls:
 
     def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
         instead = suggestion(message, answer.details, self._context.robot)
-        performed = answer.performed or Performed({})
+        performed = answer.performed
         motions = performed.planned if performed.executed is None else (performed.executed,)
         return {
             "success": answer.code is MoveItErrorCode.SUCCESS,

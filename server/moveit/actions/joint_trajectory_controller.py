@@ -286,13 +286,10 @@ class TrajectoryGoal:
     def take_answer(self, answer: Answer, state: ArmState) -> None:
         """End the goal by the queue's answer, after a success as soon as the arm is within the goal tolerances."""
         self.executing = False
-        performed = answer.performed
-        if answer.code is not MoveItErrorCode.SUCCESS or performed is None or not performed.planned:
+        if answer.code is not MoveItErrorCode.SUCCESS or not answer.performed.planned:
             self._finish(answer)
             return
-        last = performed.planned[-1]
-        end_rad = dict(zip(last.joint_names, last.positions_rad[-1].tolist(), strict=True))
-        self._settling = answer, end_rad, state.clock_s + self._tolerances.time_s
+        self._settling = answer, answer.performed.end_rad, state.clock_s + self._tolerances.time_s
         self._end_when_settled(state, *self._settling)
 
     def _end_when_settled(self, state: ArmState, answer: Answer, end_rad: Positions, until_s: float) -> None:

@@ -15,7 +15,7 @@ from server.errors import RefusedError, refused
 from server.execution.failures import with_nearest_goal
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.monitors import state_message
-from server.execution.motions import Motion, MotionStep, Performed, PlannedMotion, Positions, plan_sequence
+from server.execution.motions import Motion, MotionStep, PlannedMotion, Positions, plan_sequence
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.permissions import GOAL, PLANNING_GOAL, Node
@@ -69,7 +69,7 @@ class PlanningGoal:
 
 def move_group_result(answer: Answer, robot: RobotModel) -> Message:
     """Write the result of moveit_msgs/MoveGroup."""
-    performed = answer.performed or Performed({})
+    performed = answer.performed
     return {
         "error_code": _explained_code(answer, robot),
         "trajectory_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
@@ -81,7 +81,7 @@ def move_group_result(answer: Answer, robot: RobotModel) -> Message:
 
 def sequence_result(answer: Answer, robot: RobotModel) -> Message:
     """Write the result of moveit_msgs/MoveGroupSequence."""
-    performed = answer.performed or Performed({})
+    performed = answer.performed
     response = {
         "error_code": _explained_code(answer, robot),
         "sequence_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
@@ -148,7 +148,7 @@ def _execute(goal: ActionGoal, queue: GoalQueue, motion: Motion, result: Callabl
 
 def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message]) -> None:
     goal.feedback({"state": IDLE})
-    performed = answer.performed or Performed({})
+    performed = answer.performed
     if not is_long([*performed.planned, *filter(None, (performed.executed,))]):
         finish_goal(goal, answer, result)
         return

@@ -12,7 +12,6 @@ from planners.problem import PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.trajectory import Trajectory
 from server.execution.goal import Answer, Goal
-from server.execution.motions import Performed
 from server.execution.queue import GoalListener
 from server.graph.permissions import LOOKING
 from server.graph.providers import CompleteResponse
@@ -65,7 +64,7 @@ class GoalHistory(GoalListener):
         self._planning.display.contacts_of(answer.details)
         if goal.request.only_for is not None or goal.unlogged:
             return
-        performed = answer.performed or Performed({})
+        performed = answer.performed
         self._records[goal.goal_id] = GoalRecord(
             self._wall_clock(),
             final_status(goal, answer, self._robot),

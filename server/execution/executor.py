@@ -21,6 +21,7 @@ from planners.interface import Planners
 from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.arm_group import AnyArm
+from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory
@@ -86,7 +87,7 @@ PLANNED_DURATION = "the duration of the planned motion"
 FASTER = ": raise the velocity and acceleration scaling"
 
 # A trajectory is expected at the arm after this multiple of the time that recent checks took: the first attempt by the
-# median, which no busy moment lengthens, others by the longest.
+# median, which no busy moment lengthens, and the second where a check fits between two ticks; others by the longest.
 CHECKS_AHEAD, RECENT_CHECKS = 1.1, 5
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
@@ -266,9 +267,10 @@ class GoalExecutor:
         As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
         before, which takes some milliseconds: it takes over that much later.
         """
-        for sending_s in SENDINGS_S:
+        for attempt, sending_s in enumerate(SENDINGS_S):
             asked_s, version = self._context.clock(), self._scene.scene.version
-            check_s = statistics.median_low(self._checks_s) if sending_s == SENDINGS_S[0] else max(self._checks_s)
+            brief = attempt == 0 or (attempt == 1 and self._checks_s[-1] < PERIOD_S)
+            check_s = statistics.median_low(self._checks_s) if brief else max(self._checks_s)
             horizon_s = sending_s + CHECKS_AHEAD * check_s
             if goal.reason or (joined := self._joined(goal, request, asked_s, horizon_s)) is None:
                 break

@@ -7,21 +7,31 @@ that falls silent is ended by :class:`robot.arm.Arm`, and with it the motion.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from planners.problem import ConcurrencyQuestion, MoveItErrorCode, RecheckQuestion
 from robot.arm_group import AnyArm
+from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, MotionProgress, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.execution.goal import Answer, ArmStopwatch, CancelScope, Goal, GoalState, Progress
 from server.execution.monitors import Questions, SceneMonitor
-from server.execution.motions import OUTGOING_S, SENDING_S, Joints, PathTime, Positions, SplicePoint, splice_point_of
+from server.execution.motions import (
+    OUTGOING_S,
+    SENDING_S,
+    STATE_AGE_S,
+    Joints,
+    PathTime,
+    Positions,
+    SplicePoint,
+    splice_point_of,
+)
 
 # A motion that overran is braked; no arm needs longer for that, by its own clock.
 BRAKING_TIMEOUT_S = 2.0
@@ -86,7 +96,8 @@ class MotionWatch:
     ) -> None:
         self._arm, self._motion, self._scope, self._gripping = arm, motion, scope, gripping
         self._arm_clock = ArmStopwatch(arm, clock)
-        self._awaited: tuple[asyncio.Future[Any], ...] = (motion, scope.cancelled)
+        self._braked = False
+        motion.add_done_callback(lambda _ended: scope.news.set())
 
     @property
     def over(self) -> bool:
@@ -95,10 +106,13 @@ class MotionWatch:
 
     async def step(self, period_s: float) -> MotionProgress | None:
         """Wait for a period, the motion's end or its cancellation; return its progress, None where it is unknown."""
-        await asyncio.wait(self._awaited, timeout=period_s, return_when=asyncio.FIRST_COMPLETED)
-        if self._scope.reason and not self._scope.replaced and len(self._awaited) > 1:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(period_s):
+                await self._scope.news.wait()
+        self._scope.news.clear()
+        if self._scope.reason and not self._scope.replaced and not self._braked:
             self._arm.stop(self._motion)
-            self._awaited = (self._motion,)
+            self._braked = True
         progress = self._arm.progress(self._motion)
         pace = Pace() if self._gripping else self._arm.state.pace
         if progress is not None:
@@ -208,8 +222,13 @@ class Player:
         left_s = motion.trajectory.duration_s + to_come_s
         goal.report(Progress(GoalState.EXECUTING, motion.summary, 0.0, left_s))
         watch = MotionWatch(self._arm, ended, goal, self._clock)
+        period_s, shown_by_s = PROGRESS_PERIOD_S, self._clock() + STATE_AGE_S
         while not watch.over:
-            progress = await watch.step(PROGRESS_PERIOD_S)
+            progress = await watch.step(period_s)
+            if goal.replaced and progress is None and not ended.done() and self._clock() < shown_by_s:
+                # The arm may yet refuse it, and its place on the path is not known to a tick.
+                period_s = PERIOD_S
+                continue
             if goal.reason and self._end is None:
                 if goal.replaced and not ended.done():
                     path_time = self._path_time(motion.trajectory, ended)

@@ -19,7 +19,7 @@ from robot.arm import Arm
 from robot.description.robot_folder import built_in
 from robot.messages import ArmState, Mode
 from server.execution.monitors import CurrentState
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters

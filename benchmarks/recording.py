@@ -16,7 +16,7 @@ from harness.figures import percentiles, print_table
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.config import RecordingSettings
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from server.recording.recorder import Recorder
 

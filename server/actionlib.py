@@ -15,8 +15,8 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from server.graph.actions import ActionGoal, GoalStatus, Result
-from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.permissions import Node
+from server.graph.topics import Graph
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.actionlib")
@@ -77,27 +77,22 @@ def has_actionlib_types(registry: Registry, type_name: str) -> bool:
     return registry.knows(_message_type(type_name, "ActionGoal"))
 
 
-class ActionlibBridge:
-    """Keeps the topics of several actions."""
+def bridge_actions(graph: Graph, names: Iterable[str], clock: Callable[[], float], call_later: CallLater) -> None:
+    """Open and keep the topics of actions that are offered; an action of a type that ROS 1 lacks has none."""
+    types = {name: graph.actions.names.type_of(name) for name in names}
+    registry = graph.message_types.registry
+    bridged = [
+        BridgedAction(graph, name, type_name, clock)
+        for name, type_name in types.items()
+        if type_name is not None and has_actionlib_types(registry, type_name)
+    ]
 
-    def __init__(self, graph: Graph, clock: Callable[[], float], call_later: CallLater) -> None:
-        self._graph = graph
-        self._clock = clock
-        self._call_later = call_later
-        self._bridged: list[BridgedAction] = []
-
-    def open(self, names: Iterable[str]) -> None:
-        """Open the topics of actions that are offered; one of a type that ROS 1 lacks has none."""
-        for name in names:
-            type_name = self._graph.actions.names.type_of(name)
-            if type_name is not None and has_actionlib_types(self._graph.message_types.registry, type_name):
-                self._bridged.append(BridgedAction(self._graph, name, type_name, self._clock))
-        self._beat()
-
-    def _beat(self) -> None:
-        for action in self._bridged:
+    def beat() -> None:
+        for action in bridged:
             action.publish_status()
-        self._call_later(STATUS_PERIOD_S, self._beat)
+        call_later(STATUS_PERIOD_S, beat)
+
+    beat()
 
 
 class BridgedAction:
@@ -108,7 +103,7 @@ class BridgedAction:
         self._name = name
         self._type_name = type_name
         self._clock = clock
-        self._node = Node(f"actionlib of {name}")
+        self._node = graph.node(f"actionlib of {name}")
         # Goals that have not been forgotten, by id, the oldest first.
         self._goals: dict[str, Tracked] = {}
         self._count = 0
@@ -119,12 +114,11 @@ class BridgedAction:
             for part in ("Result", "Feedback")
         }
         for part in ("Result", "Feedback"):
-            graph.advertise(self._node, f"{name}/{part.lower()}", _message_type(type_name, f"Action{part}"))
-        graph.advertise(self._node, f"{name}/status", STATUS_ARRAY)
+            self._node.advertise(f"{name}/{part.lower()}", _message_type(type_name, f"Action{part}"))
+        self._node.advertise(f"{name}/status", STATUS_ARRAY)
         goal_type = _message_type(type_name, "ActionGoal")
-        goals = Subscriber(self._take_goal, on_unauthorized=self._reject_unauthorized)
-        graph.subscribe(self._node, f"{name}/goal", goal_type, goals)
-        graph.subscribe(self._node, f"{name}/cancel", GOAL_ID, Subscriber(self._take_cancel))
+        self._node.subscribe(f"{name}/goal", goal_type, self._take_goal, on_unauthorized=self._reject_unauthorized)
+        self._node.subscribe(f"{name}/cancel", GOAL_ID, self._take_cancel)
 
     def publish_status(self) -> None:
         # Drop what ended long ago, and of very many goals the oldest that have ended.
@@ -138,8 +132,8 @@ class BridgedAction:
             if self._goals[key].ended_s is not None:
                 del self._goals[key]
         topic = f"{self._name}/status"
-        if self._graph.subscribers(topic):
-            self._graph.publish(self._node, topic, {"status_list": self._messages()})
+        if self._node.subscribers(topic):
+            self._node.publish(topic, {"status_list": self._messages()})
 
     def _messages(self) -> list[dict[str, Any]]:
         return [goal.message() for goal in self._goals.values()]
@@ -161,7 +155,7 @@ class BridgedAction:
 
     def _tracked(self, goal_id: GoalId) -> Tracked | None:
         """Track a goal, with an id and a stamp if its client gave none; None when its id is known already."""
-        stamp = _stamp(goal_id) if _stamp(goal_id) != ZERO else self._graph.message_types.now()
+        stamp = _stamp(goal_id) if _stamp(goal_id) != ZERO else self._node.message_types.now()
         self._count += 1
         key = goal_id["id"] or f"{self._name}-{self._count}-{stamp.sec}.{stamp.nanosec:09d}"
         if key in self._goals:
@@ -173,8 +167,8 @@ class BridgedAction:
         """Reject a goal that its sender may not send; nobody else waits for it, and it takes no place."""
         if message:
             status = {"goal_id": message["goal_id"], "status": int(ActionlibStatus.REJECTED), "text": reason}
-            self._graph.tell(sender, f"{self._name}/status", {"status_list": [*self._messages(), status]})
-            self._graph.tell(sender, f"{self._name}/result", {"status": status})
+            self._node.tell(sender, f"{self._name}/status", {"status_list": [*self._messages(), status]})
+            self._node.tell(sender, f"{self._name}/result", {"status": status})
 
     def _send(self, goal: Tracked, sender: Node, message: Mapping[str, Any]) -> None:
         at_once: list[Result] = []
@@ -221,7 +215,7 @@ class BridgedAction:
     def _publish(self, part: str, goal: Tracked, values: Mapping[str, Any]) -> None:
         known = {name: values[name] for name in self._fields[part] if name in values}
         message = {"status": goal.message(), part.lower(): known}
-        self._graph.publish(self._node, f"{self._name}/{part.lower()}", message)
+        self._node.publish(f"{self._name}/{part.lower()}", message)
 
 
 def _message_type(type_name: str, part: str) -> str:

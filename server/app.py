@@ -1,6 +1,8 @@
 """Composition root: makes every part of the server, starts them in order, and stops them in reverse."""
 
+import asyncio
 import logging
+import signal
 import sys
 import time
 from dataclasses import dataclass
@@ -49,11 +51,11 @@ from server.lifecycle import (
     Feature,
     Part,
     Together,
-    on_debug_signal,
     on_hangup,
     start_in_order,
     stop_in_reverse,
     stop_signals,
+    toggle_debug,
     unless_ended,
 )
 from server.monitoring.memory import SWITCH_INTERVAL_S, CollectorPolicy, MemoryKeeper
@@ -82,24 +84,17 @@ def serve(settings: Settings, arm_process: StartedChild | None = None, inherited
     # Read once: systemd's variables are gone from the environment then, and a new start goes on notifying.
     notifier = SystemdNotifier.from_environment()
 
-    async def run() -> None:
+    async def run(settings: Settings) -> None:
         app = App(settings, arm_process, inherited, notifier=notifier)
-        while (start := await app.run()) is not None:
-            app = App(start.settings, inherited=inherited, recalibrated=start.recalibrated, notifier=notifier)
+        while (following := await app.run()) is not None:
+            settings, recalibrated = following
+            app = App(settings, inherited=inherited, recalibrated=recalibrated, notifier=notifier)
 
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     try:
-        uvloop.run(run())
+        uvloop.run(run(settings))
     finally:
         notifier.close()
-
-
-@dataclass(frozen=True)
-class NewStart:
-    """Start of the server after its predecessor has ended: the arm was calibrated."""
-
-    settings: Settings
-    recalibrated: Recalibrated
 
 
 class App:
@@ -201,15 +196,15 @@ class App:
             Part("the recording's file", self._recording.open_file),
         )
 
-    async def run(self) -> NewStart | None:
+    async def run(self) -> tuple[Settings, Recalibrated] | None:
         """Serve until a signal, and stop what was started; a second signal hurries the stop.
 
-        Returns the start that is to follow at once, after a calibration; None for the end.
+        Returns the settings of the start that is to follow at once, after a calibration; None for the end.
         """
         ending, hurry = stop_signals()
         listener, restart = self._clients.listener, self._restart
         on_hangup(listener.reload_certificate, ending.set)
-        on_debug_signal()
+        asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, toggle_debug)
         started: list[Part | Feature] = []
         try:
             if await unless_ended(ending, start_in_order(self.features, started)):
@@ -231,7 +226,7 @@ class App:
         # At the same place for its clients.
         settings = with_calibration(self._context.settings, restart.recalibrated)
         place = settings.server.model_copy(update={"port": listener.port, "tcp_port": listener.tcp_port})
-        return NewStart(settings.model_copy(update={"server": place}), restart.recalibrated)
+        return settings.model_copy(update={"server": place}), restart.recalibrated
 
     async def _wait_for_arm(self) -> None:
         # Nothing moves yet that could wait for it.

@@ -7,16 +7,20 @@ import difflib
 import json
 import re
 import textwrap
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from itertools import groupby
+from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict
 from pydantic.fields import FieldInfo
 from pydantic_core import to_jsonable_python
+
+from server.errors import ConfigurationError
 
 # Who mistypes a name has most of it right; below this share of equal letters a proposal misleads.
 LIKENESS = 0.6
@@ -133,6 +137,16 @@ def flattened(values: Mapping[str, Any], tables: frozenset[str], above: str = ""
             yield from flattened(value, tables, f"{key}.")
         else:
             yield key, value
+
+
+def read_toml(file: Path, kind: str) -> dict[str, Any]:
+    """Return the contents of a file, or raise ConfigurationError that begins with its kind."""
+    try:
+        return tomllib.loads(file.read_text())
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{kind} {file} cannot be read: {error}") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigurationError(f"{kind} {file} is not TOML: {error}") from error
 
 
 def _name(key: str) -> str:

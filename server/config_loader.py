@@ -2,7 +2,6 @@
 
 import functools
 import os
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_settings import EnvSettingsSource, SettingsError
 
 from server.config import PREFIX, NamedArmSettings, Settings
-from server.config_keys import every_field, flattened, is_table, unknown
+from server.config_keys import every_field, flattened, is_table, read_toml, unknown
 from server.errors import ConfigurationError, sentence_of
 
 # What may be secret, and must not get into logs by a refusal.
@@ -33,7 +32,7 @@ def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Set
 
     Raises ConfigurationError that names the key; a value that another one overrides is checked like any other.
     """
-    in_file = _read(file) if file else {}
+    in_file = read_toml(file, "configuration") if file else {}
     if stray := _stray_variables():
         raise ConfigurationError("; ".join(stray))
     try:
@@ -84,15 +83,6 @@ def _stray_variables() -> list[str]:
 
 def _variable(key: str) -> str:
     return PREFIX + key.upper().replace(".", "__")
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_text())
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"configuration {file} cannot be read: {error}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"configuration {file} is not TOML: {error}") from error
 
 
 def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

@@ -158,13 +158,8 @@ def on_hangup(
     asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, handle)
 
 
-def on_debug_signal() -> None:
-    """Handle SIGUSR1: debug lines on, and off again."""
-    asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, toggle_debug)
-
-
 def toggle_debug() -> None:
-    """Set the log's level to debug, or back to the settings' level."""
+    """Set the log's level to debug, or back to the settings' level, at each SIGUSR1."""
     debug = logging.getLogger(OUR_LOGGER).level != logging.DEBUG
     logs.change(LoggerLevel(OUR_LOGGER, logging.DEBUG if debug else logging.NOTSET))
     log.warning("SIGUSR1: the log's level is %s", "debug now" if debug else "again what the settings say")
@@ -218,23 +213,16 @@ def _has_stop(part: Part | Feature) -> bool:
 async def _stop(part: Part | Feature, allowed_s: float, hurry: asyncio.Event) -> None:
     began_s = time.monotonic()
     stopping = asyncio.create_task(_stop_and_log(part), name=f"stop {part.name}")
-    if not await _done_in_time(stopping, allowed_s, hurry):
+    # A hurry before or meanwhile cuts its time short.
+    hurried = asyncio.create_task(hurry.wait())
+    await asyncio.wait([stopping, hurried], timeout=allowed_s, return_when=asyncio.FIRST_COMPLETED)
+    if not stopping.done() and hurry.is_set():
+        await asyncio.wait([stopping], timeout=min(HURRIED_S, allowed_s))
+    hurried.cancel()
+    if not stopping.done():
         stopping.cancel()
         await asyncio.wait([stopping], timeout=CANCEL_TIMEOUT_S)
         log.warning("stopping: %s did not end within %.1f s; going on", part.name, time.monotonic() - began_s)
-
-
-async def _done_in_time(stopping: asyncio.Future[None], allowed_s: float, hurry: asyncio.Event) -> bool:
-    """Wait for a stop; a hurry that comes meanwhile cuts its time short."""
-    hurried: asyncio.Task[Any] = asyncio.create_task(hurry.wait())
-    try:
-        if not hurry.is_set():
-            await asyncio.wait([stopping, hurried], timeout=allowed_s, return_when=asyncio.FIRST_COMPLETED)
-        if not stopping.done() and hurry.is_set():
-            await asyncio.wait([stopping], timeout=min(HURRIED_S, allowed_s))
-        return stopping.done()
-    finally:
-        hurried.cancel()
 
 
 async def _stop_and_log(part: Part | Feature) -> None:

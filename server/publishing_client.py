@@ -33,6 +33,7 @@ class PublishingClient(ABC):
     """Client of a server that publishes on one topic, or on others of these types beside it."""
 
     max_answer_bytes = 1_000_000  # what a server answers to a client that only publishes is short
+    finite = False  # True if the messages end of themselves
 
     def __init__(self, target: PublishedTopic, types: Mapping[str, str], tell: Callable[[str], None]) -> None:
         self.published = 0
@@ -49,7 +50,7 @@ class PublishingClient(ABC):
     async def publish(self, connection: ClientConnection) -> None:
         """Publish messages on a connection until it or the messages end; raises WebSocketException and TimeoutError."""
 
-    async def keep_connected(self) -> None:
+    async def run(self) -> None:
         """Publish until there is nothing more, and connect again after each end of a connection."""
         url, delay_s = self._target.url, FIRST_DELAY_S
         while not self.ended:

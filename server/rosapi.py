@@ -16,9 +16,9 @@ from protocol.registry import Kind
 from protocol.type_descriptions import full_text, typedefs
 from server.errors import ServiceError
 from server.graph.index import TypedNames
-from server.graph.node import Node
-from server.graph.permissions import CONFIGURING, LOOKING, NameFilter
-from server.graph.services import Call, CompleteResponse, failure_told
+from server.graph.permissions import CONFIGURING, LOOKING, NameFilter, Node
+from server.graph.providers import CompleteResponse
+from server.graph.services import Call, failure_told
 from server.graph.topics import Graph
 
 NODE = Node("rosapi")

@@ -10,6 +10,7 @@ of them; the number it yields is the time to wait first [s].
 
 from __future__ import annotations
 
+import contextlib
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -192,11 +193,15 @@ class HardwareInterface(ABC):
 
 
 def run_to_end(steps: Steps[Result], wait: Callable[[float], None] = time.sleep) -> Result:
-    """Run a sequence on hardware without a control loop, and return its result; ``wait`` waits for a time [s]."""
-    while True:
-        try:
-            wait_s = next(steps)
-        except StopIteration as end:
-            result: Result = end.value
-            return result
-        wait(wait_s)
+    """Run a sequence on hardware without a control loop, and return its result; ``wait`` waits for a time [s].
+
+    An exception of ``wait``, as Ctrl-C, ends the sequence at once, so that it can undo the half that is done.
+    """
+    with contextlib.closing(steps):
+        while True:
+            try:
+                wait_s = next(steps)
+            except StopIteration as end:
+                result: Result = end.value
+                return result
+            wait(wait_s)

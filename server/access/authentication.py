@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import logging
 import stat
 import time
-import tomllib
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from hashlib import sha256, sha512
@@ -17,6 +17,7 @@ from pydantic import ValidationError
 from protocol.operations import Auth
 from server.access.rate_limits import client_key
 from server.access.settings import MAX_TOKENS, AccessSettings
+from server.config_keys import read_toml
 from server.errors import ConfigurationError, sentence_of
 from server.graph.permissions import Identity, Role
 
@@ -180,14 +181,10 @@ def _identities(settings: AccessSettings) -> Iterator[tuple[str, Identity]]:
 
 
 def _read(file: Path) -> AccessSettings:
-    try:
+    with contextlib.suppress(OSError):
         if file.stat().st_mode & (stat.S_IRGRP | stat.S_IROTH):
             log.warning("access.token_file: %s can be read by other users of this machine; chmod 600 it", file)
-        values = tomllib.loads(file.read_text())
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"access.token_file: {file} cannot be read: {error}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigurationError(f"access.token_file: {file} is not TOML: {error}") from error
+    values = read_toml(file, "access.token_file:")
     if stray := sorted(values.keys() - _IN_FILE):
         raise ConfigurationError(f"access.token_file: {file} has {stray[0]}; it may have {', '.join(sorted(_IN_FILE))}")
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Literal
 
 from protocol.operations import (
@@ -26,8 +25,7 @@ from server.access.one_time_tokens import VALID_FOR_S, OneTimeTokens
 from server.access.rate_limits import RateLimiter
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
-from server.graph.node import Node
-from server.graph.permissions import CANCELLING, GOAL, LOOKING, WORKING, Identity, NameFilter, Role, Rule
+from server.graph.permissions import CANCELLING, GOAL, LOOKING, WORKING, Identity, NameFilter, Node, Role, Rule
 from server.graph.topics import Graph
 
 # Suffixes of the names by which actions are cancelled and, as actionlib's topics, sent.
@@ -127,27 +125,22 @@ def _value_at(message: object, path: tuple[str, ...]) -> object:
 class Authorizer:
     """Check of the operations of one client; asked once an operation, before anything is done for it."""
 
-    __slots__ = ("_access", "_goals", "_graph", "_node", "_settled")
+    __slots__ = ("_access", "_goals", "_graph", "_node", "settled")
 
     def __init__(self, node: Node, access: Access, graph: Graph) -> None:
         self._node = node
         self._access = access
         self._graph = graph
         self._goals = RateLimiter(access.settings.goals_per_s, access.settings.goal_burst)
-        # Topics as the client spells them: it publishes on the same few, thousands of times a second.
-        self._settled: set[str] = set()
+        # Topics, as the client spells them, on which it may publish any message, thousands of times a second.
+        self.settled: set[str] = set()
         access.note_driver(node)
-
-    def may_publish(self, topic: str) -> bool:
-        """Return True for a topic, as the client spells it, on which it is known to be allowed any message."""
-        return topic in self._settled
 
     def refusal(self, operation: Operation) -> str | None:
         """Return the reason for a refusal, or None; an operation that drives takes control."""
         match operation:
             case Publish():
-                known = operation.topic in self._settled
-                return None if known else self.publishing(operation.topic, operation.msg)
+                return None if operation.topic in self.settled else self.publishing(operation.topic, operation.msg)
             case CallService():
                 return self.calling(operation.service, operation.args)
             case SendActionGoal():
@@ -168,7 +161,7 @@ class Authorizer:
 
     def authenticate(self, identity: Identity) -> None:
         self._node.identity = identity
-        self._settled.clear()
+        self.settled.clear()
         self._access.note_driver(self._node)
         if identity.role < Role.OPERATE:
             self._access.give_back(self._node)
@@ -186,8 +179,8 @@ class Authorizer:
             # The other way to an action must not be the one past its filter.
             refusal = self._access.services.refusal("action", name.removesuffix(ACTIONLIB_GOAL))
         settled = refusal is None and not rule.drives and not rule.stops
-        if settled and len(self._settled) < MAX_SETTLED:
-            self._settled.add(topic)
+        if settled and len(self.settled) < MAX_SETTLED:
+            self.settled.add(topic)
         return refusal or self._drive(rule, name, _value_at(message, ("goal",)))
 
     def calling(self, service: str, arguments: object) -> str | None:
@@ -237,9 +230,6 @@ class Authorizer:
         return None if refusal is None else f"{name}: {refusal}"
 
 
-NO_ARMS: Mapping[str, Callable[[], RunningGoal | None]] = MappingProxyType({})
-
-
 class Access:
     """Authentication and authorization as the settings describe them, or ConfigurationError.
 
@@ -252,14 +242,15 @@ class Access:
         clock: Callable[[], float] = time.monotonic,
         wall_clock: Callable[[], float] = time.time,
         busy: Callable[[], RunningGoal | None] = lambda: None,
-        arms: Mapping[str, Callable[[], RunningGoal | None]] = NO_ARMS,
+        arms: Mapping[str, Callable[[], RunningGoal | None]] | None = None,
     ) -> None:
         self.tokens = Tokens.from_settings(settings)
         self.one_time_tokens = OneTimeTokens(clock)
         policy, idle_s = settings.control, settings.control_idle_s
         self.lease = ControlLease(policy, idle_s, wall_clock, busy, several=bool(arms))
         self.leases_of_arms = {
-            name: ControlLease(policy, idle_s, wall_clock, busy_there, f"/{name}") for name, busy_there in arms.items()
+            name: ControlLease(policy, idle_s, wall_clock, busy_there, f"/{name}")
+            for name, busy_there in (arms or {}).items()
         }
         self.lease.excluded_by = tuple(self.leases_of_arms.values())
         for lease in self.leases_of_arms.values():

@@ -77,7 +77,7 @@ def ensure_certificate(
 ) -> EnsuredCertificate:
     """Make the server's certificate, and the authority before it, unless they are good; raises ConfigurationError."""
     now = datetime.now(UTC) if now is None else now
-    wanted = [str(each) for each in dict.fromkeys(_checked(name) for name in names)]
+    wanted = list(dict.fromkeys(map(_general_name, names)))
     if not 1 <= len(wanted) <= MAX_NAMES:
         raise ConfigurationError(f"--name: a certificate has 1 to {MAX_NAMES} names and addresses, not {len(wanted)}")
     try:
@@ -88,9 +88,9 @@ def ensure_certificate(
         raise ConfigurationError(f"{files.directory}: the certificate cannot be kept there: {error}") from error
 
 
-def _ensure(files: CertificateFiles, wanted: Sequence[str], now: datetime) -> EnsuredCertificate:
+def _ensure(files: CertificateFiles, wanted: Sequence[x509.GeneralName], now: datetime) -> EnsuredCertificate:
     authority = _load(files.authority, files.authority_key)
-    made_authority = authority is None or _ends(authority.certificate) < now + timedelta(days=VALID_DAYS)
+    made_authority = authority is None or authority.certificate.not_valid_after_utc < now + timedelta(days=VALID_DAYS)
     if authority is None or made_authority:
         authority = _make_authority(now)
         replace(files.authority_key, _key_pem(authority.key), 0o600)
@@ -104,14 +104,19 @@ def _ensure(files: CertificateFiles, wanted: Sequence[str], now: datetime) -> En
     fingerprint = authority.certificate.fingerprint(SHA256()).hex(" ").upper()
     name = authority.certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value
     return EnsuredCertificate(
-        _names(present.certificate), _ends(present.certificate), str(name), fingerprint, made_authority, reason
+        _names(present.certificate),
+        present.certificate.not_valid_after_utc,
+        str(name),
+        fingerprint,
+        made_authority,
+        reason,
     )
 
 
-def _reason_to_renew(present: _Pair | None, authority: _Pair, wanted: Sequence[str], now: datetime) -> str:
+def _reason_to_renew(present: _Pair | None, authority: _Pair, wanted: Sequence[x509.GeneralName], now: datetime) -> str:
     if present is None:
         return "there was none that can be used"
-    ends = _ends(present.certificate)
+    ends = present.certificate.not_valid_after_utc
     if ends < now:
         return f"the old one ended on {ends:%Y-%m-%d}"
     if ends < now + timedelta(days=RENEW_DAYS):
@@ -120,15 +125,15 @@ def _reason_to_renew(present: _Pair | None, authority: _Pair, wanted: Sequence[s
         present.certificate.verify_directly_issued_by(authority.certificate)
     except (ValueError, TypeError, InvalidSignature):
         return "the old one is of another authority"
-    missing = [name for name in wanted if name not in _names(present.certificate)]
+    names = _names(present.certificate)
+    missing = [str(name.value) for name in wanted if str(name.value) not in names]
     return f"the old one lacks {', '.join(missing)}" if missing else ""
 
 
-def _checked(name: str) -> str:
-    """Return a name in lower case, or an address in its usual spelling."""
+def _general_name(name: str) -> x509.GeneralName:
     text = name.strip().lower().removesuffix(".")
     try:
-        return str(ip_address(text.strip("[]")))
+        return x509.IPAddress(ip_address(text.strip("[]")))
     except ValueError:
         pass
     labels = text.removeprefix("*.").split(".")
@@ -138,41 +143,53 @@ def _checked(name: str) -> str:
     )
     if not good or len(text) > _MAX_NAME_CHARACTERS:
         raise ConfigurationError(f"--name: {name[:80]!r} is neither a host name nor an IP address")
-    return text
+    return x509.DNSName(text)
 
 
 def _make_authority(now: datetime) -> _Pair:
     key = ec.generate_private_key(ec.SECP256R1())
     host = os.uname().nodename.partition(".")[0][:40] or "this machine"
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"armbridge authority of {host}")])
-    usage = _key_usage(signs_certificates=True)
-    built = (
-        _builder(name, name, key, now, AUTHORITY_VALID_DAYS)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
-        .add_extension(usage, critical=True)
-    )
-    return _Pair(built.sign(key, SHA256()), key)
+    name = _named(f"armbridge authority of {host}")
+    return _Pair(_builder(name, name, key, now, AUTHORITY_VALID_DAYS, is_authority=True).sign(key, SHA256()), key)
 
 
-def _make_certificate(authority: _Pair, names: Sequence[str], now: datetime) -> _Pair:
+def _make_certificate(authority: _Pair, names: Sequence[x509.GeneralName], now: datetime) -> _Pair:
     key = ec.generate_private_key(ec.SECP256R1())
-    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, names[0][:_MAX_COMMON_NAME_CHARACTERS])])
-    issuer = authority.certificate
+    subject = _named(str(names[0].value)[:_MAX_COMMON_NAME_CHARACTERS])
     built = (
-        _builder(subject, issuer.subject, key, now, VALID_DAYS)
-        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(_key_usage(signs_certificates=False), critical=True)
+        _builder(subject, authority.certificate.subject, key, now, VALID_DAYS, is_authority=False)
         .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
-        .add_extension(x509.SubjectAlternativeName([_general_name(name) for name in names]), critical=False)
+        .add_extension(x509.SubjectAlternativeName(names), critical=False)
         .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(authority.key.public_key()), critical=False)
     )
     return _Pair(built.sign(authority.key, SHA256()), key)
 
 
+def _named(common_name: str) -> x509.Name:
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name)])
+
+
 def _builder(
-    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, now: datetime, days: int
+    subject: x509.Name,
+    issuer: x509.Name,
+    key: ec.EllipticCurvePrivateKey,
+    now: datetime,
+    days: int,
+    *,
+    is_authority: bool,
 ) -> x509.CertificateBuilder:
     begins = now - _CLOCK_MARGIN
+    usage = x509.KeyUsage(
+        digital_signature=not is_authority,
+        key_cert_sign=is_authority,
+        crl_sign=is_authority,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        encipher_only=False,
+        decipher_only=False,
+    )
     return (
         x509.CertificateBuilder()
         .subject_name(subject)
@@ -182,28 +199,9 @@ def _builder(
         .not_valid_before(begins)
         .not_valid_after(begins + timedelta(days=days))
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)
+        .add_extension(x509.BasicConstraints(is_authority, 0 if is_authority else None), critical=True)
+        .add_extension(usage, critical=True)
     )
-
-
-def _key_usage(*, signs_certificates: bool) -> x509.KeyUsage:
-    return x509.KeyUsage(
-        digital_signature=not signs_certificates,
-        key_cert_sign=signs_certificates,
-        crl_sign=signs_certificates,
-        content_commitment=False,
-        key_encipherment=False,
-        data_encipherment=False,
-        key_agreement=False,
-        encipher_only=False,
-        decipher_only=False,
-    )
-
-
-def _general_name(name: str) -> x509.GeneralName:
-    try:
-        return x509.IPAddress(ip_address(name))
-    except ValueError:
-        return x509.DNSName(name)
 
 
 def _names(certificate: x509.Certificate) -> list[str]:
@@ -212,10 +210,6 @@ def _names(certificate: x509.Certificate) -> list[str]:
     except x509.ExtensionNotFound:
         return []
     return [str(each.value) for each in extension.value]
-
-
-def _ends(certificate: x509.Certificate) -> datetime:
-    return certificate.not_valid_after_utc
 
 
 def _load(certificate: Path, key: Path) -> _Pair | None:

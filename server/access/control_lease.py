@@ -1,5 +1,6 @@
 """Control of the arm: the lease that lets one client drive at a time, with its topic and services."""
 
+import functools
 import json
 import math
 import time
@@ -10,10 +11,9 @@ from typing import Any, Literal, TypeAlias
 
 from server.diagnostic_values import LEVEL_OK, key_values
 from server.execution.queue import RunningGoal
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.permissions import LOOKING, WORKING, Role
+from server.graph.permissions import LOOKING, WORKING, Node, Role
 from server.graph.services import Call, answer
+from server.graph.topics import LocalGraph
 from server.timers import CallLater, call_later
 
 Policy: TypeAlias = Literal["lease", "shared"]
@@ -186,18 +186,15 @@ class ControlServices:
         clock: Callable[[], float] = time.monotonic,
         call_later: CallLater = call_later,
     ) -> None:
-        self._graph = graph
         self._lease = lease
         self._clock = clock
         self._call_later = call_later
-        self._node = Node("arm control")
-        graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
-        for name, serve, rule in (
-            (TAKE_SERVICE, self._take, WORKING),
-            (RELEASE_SERVICE, self._release, WORKING),
-            (WHO_SERVICE, self._who, LOOKING),
-        ):
-            graph.offer_calls(self._node, name, "std_srvs/Trigger", serve, rule=rule)
+        self._node = graph.node("arm control")
+        self._node.advertise(TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        for name, change in ((TAKE_SERVICE, lease.drive), (RELEASE_SERVICE, lease.release)):
+            serve = functools.partial(self._answer, change)
+            self._node.offer_calls(name, "std_srvs/Trigger", serve, rule=WORKING)
+        self._node.offer_calls(WHO_SERVICE, "std_srvs/Trigger", self._who, rule=LOOKING)
         lease.watchers.append(self._publish)
         self._publish()
         self._timer = call_later(BEAT_S, self._beat)
@@ -211,20 +208,14 @@ class ControlServices:
             self._publish()
         self._timer = self._call_later(BEAT_S, self._beat)
 
-    def _take(self, call: Call) -> None:
-        refusal = self._lease.drive(call.caller, self._clock())
-        self._answer(call, refusal)
-
-    def _release(self, call: Call) -> None:
-        self._answer(call, self._lease.release(call.caller, self._clock()))
-
     def _who(self, call: Call) -> None:
         caller = call.caller
         role = "" if caller.identity is None else caller.identity.role.name.lower()
         names = {"name": caller.name, "address": caller.address, "role": role, "version": metadata.version("armbridge")}
         answer(call, lambda _request: {"success": True, "message": json.dumps(names)})
 
-    def _answer(self, call: Call, refusal: str | None) -> None:
+    def _answer(self, change: Callable[[Node, float], str | None], call: Call) -> None:
+        refusal = change(call.caller, self._clock())
         message = self._lease.sentence() if refusal is None else refusal
         answer(call, lambda _request: {"success": refusal is None, "message": message})
 
@@ -246,4 +237,4 @@ class ControlServices:
             "hardware_id": values["holder"],
             "values": key_values(values),
         }
-        self._graph.publish(self._node, TOPIC, status)
+        self._node.publish(TOPIC, status)

@@ -10,8 +10,7 @@ from typing import Any
 
 from server.access.authentication import Tokens, digest_of
 from server.errors import ServiceError
-from server.graph.node import Node
-from server.graph.permissions import CONFIGURING, Identity, Role
+from server.graph.permissions import CONFIGURING, Identity, Node, Role
 from server.graph.services import Call, answer
 from server.graph.topics import Graph
 

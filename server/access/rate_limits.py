@@ -1,13 +1,9 @@
 """Limits of rates, and the key under which the actions of one machine count."""
 
-from functools import lru_cache
 from ipaddress import IPv4Address, IPv6Address, ip_address
 
 # The owner of one IPv6 address has its whole network (RFC 6177: at least a /64 a site).
 IPV6_PREFIX_BITS = 64
-
-# Addresses whose keys are remembered: to read one takes 15 us, and the same few machines connect again and again.
-REMEMBERED = 1024
 
 
 class RateLimiter:
@@ -45,7 +41,6 @@ def is_loopback(address: str) -> bool:
     return known is not None and known.is_loopback
 
 
-@lru_cache(REMEMBERED)
 def client_key(address: str) -> str:
     """Return the key under which a client counts: its IP address, or the network (/64) of an IPv6 address."""
     known = parse_address(address)

@@ -17,10 +17,9 @@ from robot.commissioning.session import Step, SweptRange
 from robot.errors import RobotError
 from robot.messages import ArmHealth, ArmState
 from server.errors import ServiceError
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
 from server.graph.permissions import COMMISSIONING, CONFIGURING
 from server.graph.services import answering
+from server.graph.topics import LocalGraph
 from server.lifecycle import end_task
 
 log = logging.getLogger("armbridge.commissioning")
@@ -152,21 +151,20 @@ class Commissioning:
     """Services and topic of the procedures; ``make`` raises a RobotError when a procedure cannot begin."""
 
     def __init__(self, graph: LocalGraph, make: Callable[[str, str], Procedure], ended: Ended | None = None) -> None:
-        self._graph = graph
         self._make = make
         self._ended = ended or Ended()
-        self._node = Node("commissioning")
+        self._node = graph.node("commissioning")
         self._procedure: Procedure | None = None
         self._dialogue: Dialogue | None = None
         self._task: asyncio.Task[None] | None = None
         self._shown: dict[str, Any] | None = None
         self._shown_at_s = -math.inf
         self._health: ArmHealth | None = None
-        graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/CommissioningState", latch=True)
+        self._node.advertise(STATE_TOPIC, "armbridge_msgs/CommissioningState", latch=True)
         begin, answer = answering(self._begin), answering(self._answer)
-        graph.offer(self._node, BEGIN, "armbridge_msgs/BeginCommissioning", begin, rule=COMMISSIONING)
-        graph.offer(self._node, ANSWER, "armbridge_msgs/AnswerCommissioning", answer, rule=COMMISSIONING)
-        graph.offer(self._node, CANCEL, "std_srvs/Trigger", answering(self._cancel), rule=CONFIGURING)
+        self._node.offer(BEGIN, "armbridge_msgs/BeginCommissioning", begin, rule=COMMISSIONING)
+        self._node.offer(ANSWER, "armbridge_msgs/AnswerCommissioning", answer, rule=COMMISSIONING)
+        self._node.offer(CANCEL, "std_srvs/Trigger", answering(self._cancel), rule=CONFIGURING)
         self._show()
 
     def take_state(self, state: ArmState) -> None:
@@ -186,7 +184,7 @@ class Commissioning:
 
     def _begin(self, request: dict[str, Any]) -> str:
         if self._dialogue is not None:
-            cancel = self._graph.resolve(CANCEL)
+            cancel = self._node.resolve(CANCEL)
             raise ServiceError(f"{self._dialogue.procedure} is in progress: answer it, or call {cancel}")
         procedure = self._make(request["procedure"], request["name"])
         if self._health is not None:
@@ -195,11 +193,11 @@ class Commissioning:
         self._ended = Ended()
         name = f"commissioning: {request['procedure']}"
         self._task = asyncio.create_task(self._run(procedure, self._dialogue), name=name)
-        return f"{request['procedure']} begins: see {self._graph.resolve(STATE_TOPIC)}"
+        return f"{request['procedure']} begins: see {self._node.resolve(STATE_TOPIC)}"
 
     def _answer(self, request: dict[str, Any]) -> str:
         if self._dialogue is None:
-            raise ServiceError(f"nothing is asked: {self._graph.resolve(BEGIN)} begins a procedure")
+            raise ServiceError(f"nothing is asked: {self._node.resolve(BEGIN)} begins a procedure")
         return self._dialogue.answer(request["step"], request["answer"])
 
     def _cancel(self, _request: dict[str, Any]) -> str:
@@ -230,7 +228,7 @@ class Commissioning:
         message = self._message()
         if message != self._shown:
             self._shown = message
-            self._graph.publish(self._node, STATE_TOPIC, message)
+            self._node.publish(STATE_TOPIC, message)
 
     def _message(self) -> dict[str, Any]:
         dialogue, ended = self._dialogue, self._ended

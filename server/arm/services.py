@@ -12,11 +12,9 @@ from robot.messages import MIN_SPEED_LIMIT, ChangePace, CommandDone, Mode, Order
 from server.arrival import arrival_epoch
 from server.errors import ServiceError
 from server.execution.monitors import ENABLE, RESET_FAULT
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING, WORKING, Rule
 from server.graph.services import answering
-from server.graph.topics import Subscriber
+from server.graph.topics import LocalGraph
 
 log = logging.getLogger("armbridge.arm")
 
@@ -39,27 +37,27 @@ def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str]
 
     Orders leave for the arm process before anything else happens: no queue, no task and no waiting in between.
     """
-    node = Node("arm services")
+    node = graph.node("arm services")
 
     def emergency_stop(name: str) -> asyncio.Future[CommandDone]:
         answered = arm.order(Order.EMERGENCY_STOP)
-        log.warning("emergency stop by %s", graph.resolve(name))
-        end_goals(f"emergency stop by {graph.resolve(name)}")
+        log.warning("emergency stop by %s", node.resolve(name))
+        end_goals(f"emergency stop by {node.resolve(name)}")
         return answered
 
     def relax() -> Awaitable[CommandDone]:
-        end_goals(f"relaxed by {graph.resolve(RELAX)}")
+        end_goals(f"relaxed by {node.resolve(RELAX)}")
         return arm.order(Order.RELAX)
 
     def stop() -> Awaitable[CommandDone]:
-        end_goals(f"stopped by {graph.resolve(STOP)}")
+        end_goals(f"stopped by {node.resolve(STOP)}")
         return _standstill(arm)
 
     def offer(name: str, rule: Rule, act: Callable[[], Awaitable[CommandDone]]) -> None:
         def serve(_request: ServiceFields) -> Awaitable[ServiceFields]:
             return trigger_response(act())
 
-        graph.offer(node, name, "std_srvs/Trigger", serve, rule=rule)
+        node.offer(name, "std_srvs/Trigger", serve, rule=rule)
 
     offer(ENABLE, SWITCHING, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
     offer(RELAX, SWITCHING, relax)
@@ -70,7 +68,7 @@ def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str]
     def on_emergency_stop(_message: object) -> None:
         emergency_stop(EMERGENCY_STOP_TOPIC).add_done_callback(_log_end)
 
-    graph.subscribe(node, EMERGENCY_STOP_TOPIC, "std_msgs/Empty", Subscriber(on_emergency_stop, rule=STOPPING))
+    node.subscribe(EMERGENCY_STOP_TOPIC, "std_msgs/Empty", on_emergency_stop, rule=STOPPING)
 
 
 async def _standstill(arm: AnyArm) -> CommandDone:
@@ -121,7 +119,7 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
     is the operator's: a share of the joints' velocity limits, which slows down only faster motions, of every client and
     of the gripper. Guards and limits of the arm hold at every pace.
     """
-    node = Node("arm pace")
+    node = graph.node("arm pace")
 
     def set_speed(published: PublishedMessage) -> None:
         factor = published.msg["data"]
@@ -135,9 +133,9 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
         if not MIN_SPEED_LIMIT <= limit <= 1.0:
             raise ServiceError(
                 f"speed_limit must be {MIN_SPEED_LIMIT:g} to 1, a share of the joints' velocity limits, not {limit:g};"
-                f" {graph.resolve(PAUSE)} and {graph.resolve(STOP)} bring the arm to rest"
+                f" {node.resolve(PAUSE)} and {node.resolve(STOP)} bring the arm to rest"
             )
-        log.info("%s: speed limit %g, before %g", graph.resolve(SPEED_LIMIT), limit, arm.state.pace.speed_limit)
+        log.info("%s: speed limit %g, before %g", node.resolve(SPEED_LIMIT), limit, arm.state.pace.speed_limit)
         arm.change_pace(ChangePace(speed_limit=limit))
         return f"no joint is faster than {limit:.0%} of its velocity limit"
 
@@ -146,15 +144,15 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
             if not moves(arm):
                 raise ServiceError(f"no motion is in progress: the arm is {arm.state.mode.value}")
             arm.change_pace(ChangePace(direction=direction))
-            return _SENTENCES[direction].format(prefix=graph.resolve(""))
+            return _SENTENCES[direction].format(prefix=node.resolve(""))
 
-        graph.offer(node, name, "std_srvs/Trigger", answering(change), rule=rule)
+        node.offer(name, "std_srvs/Trigger", answering(change), rule=rule)
 
     rejected = functools.partial(log.warning, "%s: %s", SPEED_FACTOR_TOPIC)
-    graph.subscribe(node, SPEED_FACTOR_TOPIC, "std_msgs/Float64", Subscriber(set_speed, rejected, rule=SWITCHING))
+    node.subscribe(SPEED_FACTOR_TOPIC, "std_msgs/Float64", set_speed, rejected, rule=SWITCHING)
     # A pause slows the arm down to rest, which harms nobody.
     offer(PAUSE, PlaybackDirection.PAUSED, WORKING)
     offer(RESUME, PlaybackDirection.FORWARD, SWITCHING)
     offer(STEP_BACK, PlaybackDirection.BACK, SWITCHING)
     # It moves nothing: an operator may lower it while another client drives.
-    graph.offer(node, SPEED_LIMIT, SPEED_LIMIT_TYPE, answering(set_limit), rule=WORKING)
+    node.offer(SPEED_LIMIT, SPEED_LIMIT_TYPE, answering(set_limit), rule=WORKING)

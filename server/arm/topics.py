@@ -9,9 +9,7 @@ from robot.faults import Fault
 from robot.messages import ArmHealth, ArmState, Mode, Pace
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
 from server.execution.monitors import ENABLE, RESET_FAULT
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.topics import Graph
+from server.graph.topics import Graph, LocalGraph
 
 TOPIC = "/joint_states"
 
@@ -48,19 +46,18 @@ class ArmStateTopics:
     def __init__(
         self, graph: LocalGraph, robot: RobotModel, state: ArmState, calibration: Calibration | None = None
     ) -> None:
-        self._graph = graph
         self._ranges = {
             f"{CALIBRATED_RANGE}{each.joint}": f"{each.lower_rad:.5f} {each.upper_rad:.5f}"
             for each in (calibration.joints if calibration else ())
         }
         self._robot = robot
-        self._node, self._joints = Node("arm state"), Node("arm")
+        self._node, self._joints = graph.node("arm state"), graph.node("arm")
         # Contents of the last message.
         self._shown: tuple[Mode, str, Fault | None, Pace, int] | None = None
         self._limits: dict[str, Any] | None = None
-        graph.advertise(self._joints, TOPIC, "sensor_msgs/JointState")
-        graph.advertise(self._node, STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
-        graph.advertise(self._node, LIMITS_TOPIC, "moveit_msgs/KinematicSolverInfo", latch=True)
+        self._joints.advertise(TOPIC, "sensor_msgs/JointState")
+        self._node.advertise(STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        self._node.advertise(LIMITS_TOPIC, "moveit_msgs/KinematicSolverInfo", latch=True)
         self._publish_limits({joint.name: (joint.lower, joint.upper) for joint in robot.movable_joints})
         self.take_state(state)
 
@@ -69,9 +66,9 @@ class ArmStateTopics:
         shown = state.mode, state.reason, state.fault, state.pace, last_stop
         if shown != self._shown:
             self._shown = shown
-            message = status(state, self._robot.name, self._graph.resolve(""))
+            message = status(state, self._robot.name, self._node.resolve(""))
             message["values"] += key_values({"last_stop": str(last_stop)} | self._ranges)
-            self._graph.publish(self._node, STATE_TOPIC, message)
+            self._node.publish(STATE_TOPIC, message)
 
     def publish_joints(self, state: ArmState) -> None:
         """Publish the joints of a state; a disconnected arm has none.
@@ -87,7 +84,7 @@ class ArmStateTopics:
             "velocity": state.velocity_rad_s.tolist(),
             "effort": state.load.tolist(),
         }
-        self._graph.publish(self._joints, TOPIC, message)
+        self._joints.publish(TOPIC, message)
 
     def take_health(self, health: ArmHealth) -> None:
         """Publish the limits that the arm process keeps, when they are others."""
@@ -116,7 +113,7 @@ class ArmStateTopics:
         }
         if message != self._limits:
             self._limits = message
-            self._graph.publish(self._node, LIMITS_TOPIC, message)
+            self._node.publish(LIMITS_TOPIC, message)
 
 
 def status(state: ArmState, robot_name: str, prefix: str = "") -> dict[str, Any]:

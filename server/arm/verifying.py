@@ -146,8 +146,7 @@ class VerificationProcedure:
             if answer.code is MoveItErrorCode.SUCCESS:
                 return
             reasons.append(answer.message)
-            moved = answer.performed is not None and answer.performed.executed is not None
-            if moved or answer.code in STOPPED:
+            if answer.performed.executed is not None or answer.code in STOPPED:
                 break
         raise ProcedureFailed(f"{pose.name} was not reached: {reasons[-1]}")
 

@@ -33,12 +33,10 @@ from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Me
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.permissions import GOAL, STOPPING, WORKING
+from server.graph.permissions import GOAL, STOPPING, WORKING, Node
 from server.graph.services import Call
 from server.graph.services import answer as answer_call
-from server.graph.topics import Subscriber
+from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.gripper import Gripper
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
@@ -282,29 +280,28 @@ class ActionChunks:
         gripper: Gripper | None,
         lease: ControlLease,
     ) -> None:
-        self._graph, self._arm, self._joints, self._lease = graph, arm, joints, lease
+        self._arm, self._joints, self._lease = arm, joints, lease
         self._planning, self._queue, self._time_limits = context.planning, context.queue, context.time_limits
         self._robot, self._clock = context.planning.robot, context.clock
         self._followed: _Followed | None = None
         self._gripper = None if gripper is None else GripperTargets(gripper, context.clock)
         self._fingers = frozenset(() if gripper is None else (joint.name for joint in gripper.joints))
         self._stream = MessageStream(graph.resolve(NAME), context.clock, PAUSE_S)
-        node = self._node = Node("chunks")
-        graph.advertise(node, ANSWER, ANSWER_TYPE)
-        graph.offer_action(node, NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
-        check = CHUNK_LIMITS.check(graph.message_types.registry, "armbridge_msgs/msg/ActionChunk")
-        graph.subscribe(node, NAME, TYPE, Subscriber(self._take, check_lists=check, rule=GOAL))
+        node = self._node = graph.node("chunks")
+        node.advertise(ANSWER, ANSWER_TYPE)
+        node.offer_action(NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
+        node.subscribe(NAME, TYPE, self._take, limits=CHUNK_LIMITS, rule=GOAL)
         # Time of the last chunk that was followed [s], and stop epoch of the last stop of the policy.
         self._heard_s, self._stopped = -math.inf, 0
         # Time of the last resumption [s since the epoch].
         self._resumed_s = 0.0
         self._phase, self._message = PolicyPhase.IDLE, ""
-        graph.advertise(node, STATE, STATE_TYPE, latch=True)
+        node.advertise(STATE, STATE_TYPE, latch=True)
         self._show(PolicyPhase.IDLE, "no chunk is followed")
         self._queue.give_way(joints - self._fingers, self._take_over)
-        graph.offer(node, PAUSE, "std_srvs/Trigger", self._pause, rule=WORKING)
-        graph.offer_calls(node, RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
-        graph.offer(node, STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)
+        node.offer(PAUSE, "std_srvs/Trigger", self._pause, rule=WORKING)
+        node.offer_calls(RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
+        node.offer(STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)
 
     async def close(self) -> None:
         if self._gripper is not None:
@@ -316,7 +313,7 @@ class ActionChunks:
             self._submit(NAME, message, published.publisher)
         except RefusedError as error:
             self._publish(refused_answer(message, error))
-            raise GraphError("topic", self._graph.resolve(NAME), error.failure.message) from error
+            raise GraphError("topic", self._node.resolve(NAME), error.failure.message) from error
 
     def _start(self, goal: ActionGoal) -> None:
         message = goal.request["chunk"]
@@ -336,7 +333,7 @@ class ActionChunks:
         if self._phase in (PolicyPhase.PAUSED, PolicyPhase.TAKEN_OVER):
             # Its request has taken control from nobody.
             self._leave_control(publisher)
-            resume = self._graph.resolve(RESUME)
+            resume = self._node.resolve(RESUME)
             raise refused(MoveItErrorCode.CONTROL_FAILED, f"{self._message}: the policy goes on after {resume}")
         if self._arm.rate != 1.0:
             text = f"targets of a policy have real times: simulation.rate must be 1 for them, not {self._arm.rate:g}"
@@ -408,12 +405,12 @@ class ActionChunks:
         if (phase, message) == (self._phase, self._message):
             return
         if PolicyPhase.TAKEN_OVER in (phase, self._phase) or PolicyPhase.PAUSED in (phase, self._phase):
-            log.info("%s: %s", self._graph.resolve(NAME), message)
+            log.info("%s: %s", self._node.resolve(NAME), message)
         self._phase, self._message = phase, message
         client = "" if self._followed is None else str(self._followed.publisher)
         values = key_values({"phase": phase.value, "client": client})
         status = {"level": LEVEL_OK, "name": "policy", "message": message, "hardware_id": "", "values": values}
-        self._graph.publish(self._node, STATE, status)
+        self._node.publish(STATE, status)
 
     # Progress and answers.
 
@@ -483,7 +480,7 @@ class ActionChunks:
         }
 
     def _publish(self, answer: Message) -> None:
-        self._graph.publish(self._node, ANSWER, answer)
+        self._node.publish(ANSWER, answer)
 
 
 def begun_message(motion: ChunkMotion) -> str:

@@ -12,7 +12,7 @@ import socket
 import ssl
 import tempfile
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 import uvloop
@@ -81,7 +81,9 @@ def run_classroom(
 
         planner_host = Member("the planners", serve_planners, folder / "planners.log")
         servers = [_server_member(student, own, inherited) for student, own in zip(students, all_settings, strict=True)]
-        supervise([planner_host, *servers], _Readiness(students, host, file, tls=bool(settings.server.tls_certificate)))
+        supervise(
+            [planner_host, *servers], _log_when_ready(students, host, file, tls=bool(settings.server.tls_certificate))
+        )
     log.info("stopped")
 
 
@@ -136,48 +138,38 @@ def _make_folders(folder: Path, students: Sequence[Student]) -> None:
             raise StartError(f"{each}: the folder cannot be made: {error}") from error
 
 
-class _Readiness:
-    """Logs once when all servers are ready."""
+def _log_when_ready(students: Sequence[Student], host: str, file: Path, *, tls: bool) -> Callable[[], None]:
+    """Return a check which servers are ready by now, until one is not; it logs once that all are."""
+    began_s, waited = time.monotonic(), list(students)
+    asked = "127.0.0.1" if host in ("0.0.0.0", "") else "::1" if host == "::" else host  # noqa: S104 - compared
 
-    def __init__(self, students: Sequence[Student], host: str, file: Path, *, tls: bool) -> None:
-        self._waited = list(students)
-        self._host = "127.0.0.1" if host in ("0.0.0.0", "") else "::1" if host == "::" else host  # noqa: S104 - compared
-        self._file = file
-        self._tls = tls
-        self._first, self._last = students[0], students[-1]
-        self._count = len(students)
-        self._began_s = time.monotonic()
+    def check() -> None:
+        while waited and _is_ready(asked, waited[0].port, tls=tls):
+            waited.pop(0)
+            if not waited:
+                place = f"{len(students)} arms on ports {students[0].port} to {students[-1].port}"
+                ready_s = time.monotonic() - began_s
+                log.info(
+                    "the classroom is ready after %.1f s: %s; names, addresses and tokens are in %s",
+                    ready_s,
+                    place,
+                    file,
+                )
 
-    def __call__(self) -> None:
-        """Look which servers are ready by now, until one is not; without effect once all are."""
-        if not self._waited:
-            return
-        while self._waited and self._ready(self._waited[0]):
-            self._waited.pop(0)
-        if not self._waited:
-            log.info(
-                "the classroom is ready after %.1f s: %d arms on ports %d to %d; names, addresses and tokens are in %s",
-                time.monotonic() - self._began_s,
-                self._count,
-                self._first.port,
-                self._last.port,
-                self._file,
-            )
+    return check
 
-    def _ready(self, student: Student) -> bool:
-        if self._tls:
-            # This machine asks itself; the certificate names others' way here.
-            context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-            context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-            connection: http.client.HTTPConnection = http.client.HTTPSConnection(
-                self._host, student.port, timeout=READY_TIMEOUT_S, context=context
-            )
-        else:
-            connection = http.client.HTTPConnection(self._host, student.port, timeout=READY_TIMEOUT_S)
-        try:
-            connection.request("GET", "/readyz")
-            return connection.getresponse().status == http.client.OK
-        except (OSError, http.client.HTTPException):
-            return False
-        finally:
-            connection.close()
+
+def _is_ready(host: str, port: int, *, tls: bool) -> bool:
+    connection = http.client.HTTPConnection(host, port, timeout=READY_TIMEOUT_S)
+    if tls:
+        # This machine asks itself; the certificate names others' way here.
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        connection = http.client.HTTPSConnection(host, port, timeout=READY_TIMEOUT_S, context=context)
+    try:
+        connection.request("GET", "/readyz")
+        return connection.getresponse().status == http.client.OK
+    except (OSError, http.client.HTTPException):
+        return False
+    finally:
+        connection.close()

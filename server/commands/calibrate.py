@@ -29,6 +29,7 @@ from server.commands.options import (
     load_calibration,
     open_bus,
     read_hardware,
+    signals_as_ctrl_c,
 )
 from server.commands.terminal import ExitCode, Terminal, chosen, prompt, table
 
@@ -72,7 +73,7 @@ def add_calibrate_parser(subparsers: Subparsers) -> None:
 def _write_back(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     hardware = read_hardware(options)
     calibration = load_calibration(options.file, hardware)
-    with contextlib.closing(open_bus(options)) as bus:
+    with signals_as_ctrl_c(), contextlib.closing(open_bus(options)) as bus:
         changes = differences(calibration, _all_there(bus, hardware.servos, terminal))
         if not changes:
             terminal.say("the servos hold these values already")
@@ -93,7 +94,8 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         return _write_back(options, terminal)
     hardware = read_hardware(options)
     path = new_calibration_path(options.file, hardware.calibrations, os.environ)
-    with reserved(path, overwrite=options.overwrite), contextlib.closing(open_bus(options)) as bus:
+    reserving = reserved(path, overwrite=options.overwrite)
+    with signals_as_ctrl_c(), reserving, contextlib.closing(open_bus(options)) as bus:
         registers = _all_there(bus, hardware.servos, terminal)
         offsets = {servo_id: held[Register.HOMING_OFFSET] for servo_id, held in registers.items()}
         motions = {} if options.no_directions else asked_motions(robot_folder.resolve(options.robot).model)

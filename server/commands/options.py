@@ -1,12 +1,14 @@
 """Options that commands share: for the arm's bus, and for settings."""
 
 import argparse
+import contextlib
 import logging
 import math
 import os
 import re
+import signal
 import tomllib
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -156,6 +158,20 @@ def load_calibration(name: str, hardware: HardwareTable) -> Calibration:
         return Calibration.load(find_calibration(name, hardware.calibrations, os.environ), hardware.servos)
     except CalibrationError as error:
         raise ConfigurationError(str(error)) from error
+
+
+@contextlib.contextmanager
+def signals_as_ctrl_c() -> Iterator[None]:
+    """Take SIGTERM, and SIGHUP of a closed terminal, as Ctrl-C, which undoes the half of a write to a servo."""
+    # What nohup ignores stays ignored.
+    taken = [each for each in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(each) is signal.SIG_DFL]
+    for number in taken:
+        signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:

@@ -82,45 +82,29 @@ def add_camera_parser(subparsers: Subparsers) -> None:
 
 def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.datasets.camera import CameraClient, CameraOptions, open_source
+    from server.datasets.camera import CameraClient, CameraOptions, even, open_source
     from server.lifecycle import run_until_signal
-    from server.publishing_client import PublishedTopic
+    from server.publishing_client import PublishedTopic, PublishingClient
 
-    if options.device == RENDERED:
-        return _render(options, terminal)
     target = PublishedTopic(options.connect, options.topic, read_token(options))
-    chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
-    source = open_source(options.device, options.width)
-    client = CameraClient(target, chosen, source, terminal.say)
+    client: PublishingClient
+    if options.device == RENDERED:
+        from server.datasets.rendering_client import RenderingClient, open_camera
+
+        size = {} if options.width is None else {"width": options.width, "height": even(options.width * 3 // 4)}
+        view = {"frame": options.link, "view": options.view, "rate_hz": options.fps, "depth": options.depth}
+        robot, published = open_camera(options.robot, options.topic, options.quality, **view, **size)
+        client = RenderingClient(target, robot, published, terminal.say)
+    else:
+        source = open_source(options.device, options.width)
+        chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
+        client = CameraClient(target, chosen, source, terminal.say)
     by_signal = asyncio.run(run_until_signal(client.run()))
     terminal.tell(f"{client.published} images published on {options.topic}")
-    if by_signal or source.finite:
+    if by_signal or client.finite:
         return ExitCode.DONE
     terminal.say(f"armbridge: the camera {options.device} gives no more images; is it plugged in?")
     return ExitCode.FAILED
-
-
-def _render(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    from server.datasets.camera import even
-    from server.datasets.rendering_client import RenderingClient, open_camera
-    from server.lifecycle import run_until_signal
-    from server.publishing_client import PublishedTopic
-
-    robot, published = open_camera(
-        options.robot,
-        options.topic,
-        options.quality,
-        frame=options.link,
-        view=options.view,
-        rate_hz=options.fps,
-        depth=options.depth,
-        **({} if options.width is None else {"width": options.width, "height": even(options.width * 3 // 4)}),
-    )
-    target = PublishedTopic(options.connect, options.topic, read_token(options))
-    client = RenderingClient(target, robot, published, terminal.say)
-    asyncio.run(run_until_signal(client.keep_connected()))
-    terminal.tell(f"{client.published} images published on {options.topic}")
-    return ExitCode.DONE
 
 
 LEADER_TOPIC = "/leader/joint_states"

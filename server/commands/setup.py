@@ -35,7 +35,15 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile, profile_of
 from robot.hardware.feetech.registers import Register
 from server.commands.arm import relax_arm
-from server.commands.options import FEETECH_ONLY, Subparsers, add_command, add_robot, add_serial, read_hardware
+from server.commands.options import (
+    FEETECH_ONLY,
+    Subparsers,
+    add_command,
+    add_robot,
+    add_serial,
+    read_hardware,
+    signals_as_ctrl_c,
+)
 from server.commands.terminal import ExitCode, Terminal, table
 from server.errors import ConfigurationError
 from server.moveit.named_states import default_path
@@ -79,7 +87,7 @@ def _set_up(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     backup = BackupFile(options.backup or default_path(f"registers_{stamp}", robot, os.environ), robot.name)
     line = ServoLine(lambda baudrate: Bus.open(resolve_port(options.serial), baudrate))
     visit = _Visit(line, hardware.servos, profile_of(hardware.profile), backup, options, terminal)
-    with contextlib.closing(line):
+    with signals_as_ctrl_c(), contextlib.closing(line):
         try:
             return visit.restore(options.restore) if options.restore else visit.set_up()
         except KeyboardInterrupt:

@@ -1,7 +1,5 @@
 """Rosbridge client of a running server's verification, at a terminal."""
 
-import itertools
-import json
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -11,17 +9,11 @@ from websockets.sync.client import ClientConnection, connect
 
 from robot.errors import RobotError
 from server.arm.commissioning import ANSWER, BEGIN, CANCEL, STATE_TOPIC
+from server.calling_client import ANSWER_TIMEOUT_S, CallingClient, ServerLost
 from server.commands.terminal import ExitCode, Terminal, chosen, prompt, table
-
-# A server on the same network answers within milliseconds, a busy one within seconds.
-ANSWER_TIMEOUT_S = 10.0
 
 # Between looks at the keyboard.
 POLL_S = 0.05
-
-
-class ServerLost(RobotError):  # noqa: N818 - named by the fact
-    """The server cannot be reached, refuses, or has left."""
 
 
 def verify(url: str, token: str | None, terminal: Terminal, arm: str = "") -> ExitCode:
@@ -37,20 +29,20 @@ class VerificationClient:
     """Client of the server's procedure."""
 
     def __init__(self, websocket: ClientConnection, terminal: Terminal, arm: str = "") -> None:
-        self._websocket = websocket
+        self._client = CallingClient(websocket)
         self._terminal = terminal
         self._prefix = arm and f"/{arm}"
-        self._numbers = itertools.count(1)
-        self._state: Mapping[str, Any] = {}
-        self._told: set[str] = set()
+
+    @property
+    def _state(self) -> Mapping[str, Any]:
+        state: Mapping[str, Any] = self._client.messages.get(f"{self._prefix}{STATE_TOPIC}", {})
+        return state
 
     def run(self, token: str | None) -> ExitCode:
         if token is not None:
-            self._send({"op": "auth", "token": token})
+            self._client.send(op="auth", token=token)
         self._call(BEGIN, {"procedure": "verify", "name": ""})
-        self._send(
-            {"op": "subscribe", "topic": f"{self._prefix}{STATE_TOPIC}", "type": "armbridge_msgs/CommissioningState"}
-        )
+        self._client.subscribe(f"{self._prefix}{STATE_TOPIC}", "armbridge_msgs/CommissioningState")
         try:
             return self._converse()
         except (KeyboardInterrupt, RobotError):
@@ -66,7 +58,7 @@ class VerificationClient:
                 self._show()
             line = self._terminal.line_typed() if self._state.get("answers") else None
             if line is None:
-                self._receive(POLL_S)
+                self._client.receive(POLL_S)
                 continue
             answer = chosen(line, self._state["answers"])
             try:
@@ -75,7 +67,7 @@ class VerificationClient:
                 self._terminal.say(str(refusal))
                 self._show()
             else:
-                self._receive(ANSWER_TIMEOUT_S)
+                self._client.receive(ANSWER_TIMEOUT_S)
         findings = self._state["findings"]
         for finding in findings:
             self._terminal.tell(f"* {finding}")
@@ -96,26 +88,7 @@ class VerificationClient:
         if instruction := self._state.get("instruction", ""):
             self._terminal.ask(f"{instruction}{prompt(answers)}")
 
-    def _send(self, operation: Mapping[str, Any]) -> None:
-        self._websocket.send(json.dumps(operation))
-
-    def _call(self, name: str, request: Mapping[str, Any]) -> None:
-        service, number = f"{self._prefix}{name}", str(next(self._numbers))
-        self._send({"op": "call_service", "service": service, "id": number, "args": request})
-        while (reply := self._receive(ANSWER_TIMEOUT_S)) is not None:
-            if reply.get("op") == "service_response" and reply.get("id") == number:
-                values = reply["values"]
-                if reply["result"] and values["success"]:
-                    return
-                raise ServerLost(str(values["message"] if reply["result"] else values))
-        raise ServerLost(f"the server did not answer {service} within {ANSWER_TIMEOUT_S:g} s")
-
-    def _receive(self, timeout_s: float) -> dict[str, Any] | None:
-        """Take the next message, None when none comes in time; a state is kept."""
-        try:
-            message: dict[str, Any] = json.loads(self._websocket.recv(timeout_s))
-        except TimeoutError:
-            return None
-        if message.get("topic") == f"{self._prefix}{STATE_TOPIC}":
-            self._state = message["msg"]
-        return message
+    def _call(self, service: str, request: Mapping[str, Any]) -> None:
+        response = self._client.call(f"{self._prefix}{service}", request)
+        if not response["success"]:
+            raise ServerLost(response["message"])

@@ -214,6 +214,7 @@ class CameraClient(PublishingClient):
         self, target: PublishedTopic, options: CameraOptions, source: ImageSource, tell: Callable[[str], None]
     ) -> None:
         super().__init__(target, {target.topic: IMAGE_TYPE}, tell)
+        self.finite = source.finite
         self._options = options
         self._arrived = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -229,7 +230,7 @@ class CameraClient(PublishingClient):
         self._loop = asyncio.get_running_loop()
         self.images.start()
         try:
-            await self.keep_connected()
+            await super().run()
         finally:
             await asyncio.to_thread(self.images.close)
 

@@ -158,8 +158,7 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
     for number, episode in enumerate(episodes, 1):
         try:
             tasked = replace(episode, task=episode.task or options.task or NO_TASK)
-            tracks = _tracks_of(episode, commanded, next_state, options)
-            frames = frames_of(tasked, tracks, options.fps, options.max_gap_s)
+            frames, actions_of = _frames_of(tasked, commanded, next_state, options)
             at_s = zero_s + frames.start_s + np.arange(frames.count) / options.fps
             frames = replace(frames, interventions=interventions(samples, at_s))
         except LeftOutError as error:
@@ -167,7 +166,7 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
             problems.append(f"{path}: {where} is left out: {error}")
         else:
             source.episodes.append(_in_units(frames, joints, samples, options))
-            source.actions.append(tracks.action_name)
+            source.actions.append(actions_of)
     return source
 
 
@@ -181,16 +180,17 @@ def _state_topic(samples: Samples, options: ExportOptions) -> str:
     return wanted
 
 
-def _tracks_of(episode: Episode, commanded: Sequence[Tracks], next_state: Tracks, options: ExportOptions) -> Tracks:
-    """Return the first tracks with actions that an episode can be made of, else the first with any action in it."""
-    if options.action_topic is not None:
-        return commanded[0]
-    present = [tracks for tracks in commanded if tracks.has_actions_in(episode)]
+def _frames_of(
+    episode: Episode, commanded: Sequence[Tracks], next_state: Tracks, options: ExportOptions
+) -> tuple[EpisodeFrames, str]:
+    """Return frames of the first tracks that an episode can be made of, and the name of their actions."""
+    named = options.action_topic is not None
+    present = [tracks for tracks in commanded if named or tracks.has_actions_in(episode)] or [next_state]
     for tracks in present:
         with suppress(LeftOutError):
-            frames_of(episode, tracks, options.fps, options.max_gap_s)
-            return tracks
-    return present[0] if present else next_state
+            return frames_of(episode, tracks, options.fps, options.max_gap_s), tracks.action_name
+    # The reason is the first ones'.
+    return frames_of(episode, present[0], options.fps, options.max_gap_s), present[0].action_name
 
 
 def _actions(samples: Samples, joints: Sequence[str], topic: str | None) -> Iterator[tuple[str, Sequence[JointSample]]]:

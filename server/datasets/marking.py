@@ -24,8 +24,7 @@ from server.datasets.episodes import (
 )
 from server.diagnostic_values import LEVEL_OK, LEVEL_WARN, key_values
 from server.errors import ServiceError
-from server.graph.node import Node
-from server.graph.permissions import WORKING
+from server.graph.permissions import WORKING, Node
 from server.graph.services import answering
 from server.graph.topics import Graph, Subscriber
 
@@ -99,18 +98,18 @@ class EpisodeServices:
         self._graph = graph
         self._recording = recording
         self._clock = clock or asyncio.get_running_loop().time
-        self._node = Node("dataset")
+        self._node = graph.node("dataset")
         self._observer = Node("dataset observer")
         self._marks = EpisodeMarks()
         # Cameras, and the arm's states.
         self._watched: dict[str, Timing] = {}
         self._logged: set[tuple[str, str]] = set()
-        graph.advertise(self._node, EPISODE_TOPIC, EPISODE_TYPE)
-        graph.advertise(self._node, STATE, STATE_TYPE, latch=True)
-        graph.subscribe(self._node, EPISODE_TOPIC, EPISODE_TYPE, Subscriber(self._take, rule=WORKING))
-        graph.services.offer(self._node, START_SERVICE, START_TYPE, answering(self._start), rule=WORKING)
-        graph.services.offer(self._node, STOP_SERVICE, "std_srvs/Trigger", answering(self._stop), rule=WORKING)
-        graph.services.offer(self._node, DISCARD_SERVICE, "std_srvs/Trigger", answering(self._discard), rule=WORKING)
+        self._node.advertise(EPISODE_TOPIC, EPISODE_TYPE)
+        self._node.advertise(STATE, STATE_TYPE, latch=True)
+        self._node.subscribe(EPISODE_TOPIC, EPISODE_TYPE, self._take, rule=WORKING)
+        self._node.offer(START_SERVICE, START_TYPE, answering(self._start), rule=WORKING)
+        self._node.offer(STOP_SERVICE, "std_srvs/Trigger", answering(self._stop), rule=WORKING)
+        self._node.offer(DISCARD_SERVICE, "std_srvs/Trigger", answering(self._discard), rule=WORKING)
         self._show()
 
     async def run(self) -> None:
@@ -196,7 +195,7 @@ class EpisodeServices:
         message = "; ".join(f"{topic} {problem}" for topic, problem in problems.items())
         level = LEVEL_WARN if problems else LEVEL_OK
         status = {"level": level, "name": "episodes", "message": message, "values": key_values(values)}
-        self._graph.publish(self._node, STATE, status)
+        self._node.publish(STATE, status)
 
     def _start(self, request: dict[str, Any]) -> str:
         mark = Mark(START, checked_task(request["task"]))
@@ -221,7 +220,7 @@ class EpisodeServices:
         return self._answer(f"{which} is discarded; {len(self._marks.ended)} are left")
 
     def _publish(self, mark: Mark) -> None:
-        self._graph.publish(self._node, EPISODE_TOPIC, {"data": mark.text})
+        self._node.publish(EPISODE_TOPIC, {"data": mark.text})
 
     def _answer(self, message: str) -> str:
         return message if self._recording() else f"{message}, but {NOT_RECORDED}"

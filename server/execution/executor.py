@@ -1,7 +1,8 @@
-"""Executor of goals: plans from where the arm holds, plays the plan, reports its progress.
+"""Executor of goals: plans from where the arm holds, plays the plan, reports its progress, and looks at the scene.
 
 Goals of groups without a common joint are executed at the same time. A motion begins when it can touch no motion of
-another group, wherever each of both is on its way; else it waits for the other's end.
+another group, wherever each of both is on its way; else it waits for the other's end. A motion ends when it overruns,
+by the arm's clock, or when the scene gets in its way.
 """
 
 import asyncio
@@ -11,58 +12,57 @@ import statistics
 import time
 from array import array
 from collections import deque
-from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias, TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
 from planners.interface import Planners
-from planners.problem import MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
-from planners.scene import Scene
+from planners.problem import (
+    ConcurrencyQuestion,
+    MoveItErrorCode,
+    Plan,
+    PlanningFailure,
+    PlanningProblem,
+    RecheckAnswer,
+    RecheckQuestion,
+)
 from robot.arm_group import AnyArm
 from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
-from robot.messages import ArmState, Outcome
+from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.errors import RefusedError, refused
+from server.execution.confirmation import Confirmation
 from server.execution.failures import FailedGoals, with_nearest_goal
-from server.execution.goal import Answer, Goal, GoalState, Progress, TimeLimits
-from server.execution.monitors import (
-    ARM_START_TIMEOUT_S,
-    CurrentScene,
-    CurrentState,
-    Questions,
-    SceneMonitor,
-    check_ready,
-)
+from server.execution.goal import BRAKING_TIMEOUT_S, Answer, Goal, GoalState, MotionWatch, Progress, TimeLimits
+from server.execution.monitors import ARM_START_TIMEOUT_S, CurrentScene, CurrentState, check_ready
 from server.execution.motions import (
     HORIZON_S,
+    OUTGOING_S,
     SENDING_S,
     SENDINGS_S,
     START_TOLERANCE_RAD,
+    STATE_AGE_S,
     ExternalTrajectory,
     Joints,
+    MotionInProgress,
+    MotionsInProgress,
+    PathTime,
     Performed,
     PlannedMotion,
-    PlannedSequence,
     Positions,
     SplicePoint,
     plan_sequence,
+    splice_point_of,
     with_lead_in,
-)
-from server.execution.player import (
-    BRAKING_TIMEOUT_S,
-    CheckedMotion,
-    MotionInProgress,
-    MotionsInProgress,
-    Player,
-    meeting_question,
 )
 
 log = logging.getLogger("armbridge.execution")
 
-Confirm: TypeAlias = Callable[[Goal, PlannedSequence], Coroutine[Any, Any, Answer | None]]
+# Asked together about one motion: it is free if all answers are.
+Questions: TypeAlias = Sequence[RecheckQuestion | ConcurrencyQuestion]
 Result = TypeVar("Result")
 
 # Codes after which another plan may do better, as in MoveIt's plan_execution.
@@ -89,6 +89,19 @@ FASTER = ": raise the velocity and acceleration scaling"
 # A trajectory is expected at the arm after this multiple of the time that recent checks took: the first attempt by the
 # median, which no busy moment lengthens, and the second where a check fits between two ticks; others by the longest.
 CHECKS_AHEAD, RECENT_CHECKS = 1.1, 5
+
+PROGRESS_PERIOD_S = 0.2
+
+CODE_OF_OUTCOME = {
+    Outcome.REACHED: MoveItErrorCode.SUCCESS,
+    Outcome.STOPPED: MoveItErrorCode.PREEMPTED,
+    Outcome.REFUSED: MoveItErrorCode.CONTROL_FAILED,
+    Outcome.TRACKING_LOST: MoveItErrorCode.CONTROL_FAILED,
+    Outcome.NOT_SETTLED: MoveItErrorCode.CONTROL_FAILED,
+    Outcome.BUS_LOST: MoveItErrorCode.COMMUNICATION_FAILURE,
+    Outcome.PROCESS_LOST: MoveItErrorCode.COMMUNICATION_FAILURE,
+    Outcome.FAULT: MoveItErrorCode.CONTROL_FAILED,
+}
 
 # Ten minutes at 50 Hz; of a longer motion the beginning is kept.
 MAX_SAMPLES = 30_000
@@ -146,10 +159,21 @@ class ExecutionContext:
     time_limits: TimeLimits = field(default_factory=TimeLimits)
     failed_goals: FailedGoals | None = None  # keeps goals that could not be planned; None to keep none
     show: Callable[[Performed], None] = lambda _performed: None  # called with every plan before it is executed
-    # Reports that a plan waits, and waits for a user's confirmation; returns None to execute the plan, else the goal's
-    # answer.
-    confirm: Confirm | None = None
+    confirmation: Confirmation | None = None
     clock: Callable[[], float] = time.monotonic
+
+
+@dataclass(eq=False)
+class PlayedMotion:
+    """Motion that the arm plays, found free in a version of the scene; a preempted goal's goes on for a moment."""
+
+    trajectory: Trajectory
+    version: int
+    ended: asyncio.Future[MotionEnded]
+    path_time: PathTime
+    end: Answer | None = None  # answer of a motion that is braked
+    checking: asyncio.Task[None] | None = None  # task that checks it after changes of the scene
+    until_s: float = 0.0  # time until which another motion can be sent to replace it
 
 
 class GoalExecutor:
@@ -157,11 +181,13 @@ class GoalExecutor:
 
     def __init__(self, arm: AnyArm, context: ExecutionContext, in_progress: MotionsInProgress) -> None:
         self._arm = arm
-        self._context, self._scene = context, context.scene
+        self._context, self._scene, self._clock = context, context.scene, context.clock
         self._in_progress = in_progress
-        self._scene_monitor = SceneMonitor(context.pool, context.scene, arm.state_max_age_s, context.clock)
         self.recorder = MotionRecorder()
-        self._player = Player(arm, context.robot, self._scene_monitor, in_progress, context.clock)
+        # The motion in progress, and the motion of a preempted goal, which another can replace.
+        self._played: PlayedMotion | None = None
+        self._outgoing: PlayedMotion | None = None
+        context.scene.on_change(self._check_again)
         # Times that recent checks of trajectories in motion took [s]; the first is checked within the horizon.
         self._checks_s = deque(((HORIZON_S - SENDING_S) / CHECKS_AHEAD,), RECENT_CHECKS)
 
@@ -193,15 +219,14 @@ class GoalExecutor:
             motion = shorter
         if answer.code is not MoveItErrorCode.SUCCESS and not goal.replaced:
             # Nothing takes the place of the motion before.
-            await self._player.stop_outgoing()
+            await self._stop_outgoing()
         return answer
 
     # Attempts: from a motion to an answer.
 
     async def _replace_outgoing(self, goal: Goal, request: PlannedMotion) -> Answer | None:
         """Replace the motion of a preempted goal without a stop; None where that is impossible."""
-        outgoing = self._player.outgoing
-        point = None if outgoing is None else outgoing.splice_point(self._context.clock(), HORIZON_S)
+        outgoing, point = self._outgoing, self._splice_point(self._clock(), HORIZON_S)
         if outgoing is None or point is None:
             return None
         if len(request.steps) != 1 or request.scene is not None or request.confirm:
@@ -214,7 +239,9 @@ class GoalExecutor:
             problem = request.steps[0].problem({**self._held_rad(), **point.positions_rad})
         except RefusedError:
             return None
-        if not isinstance(problem, PlanningProblem) or problem.group != outgoing.motion.group:
+        if not isinstance(problem, PlanningProblem):
+            return None
+        if self._context.robot.groups[problem.group].joints != outgoing.trajectory.joint_names:
             return None
         goal.report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
@@ -223,28 +250,27 @@ class GoalExecutor:
         if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > goal.deadline.limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.splice(plan.trajectory))
-        planned = PlannedSequence(Performed({**problem.start_rad, **point.start_rad})).with_plan(whole)
+        start_rad = {**problem.start_rad, **point.start_rad}
+        planned = Performed(start_rad, scene=scene).with_plan(problem, whole)
         # A scene that has changed since the lead was found free is checked on the way.
-        version = scene.version if scene.version == outgoing.motion.scene_version else UNCHECKED
-        checked = CheckedMotion(problem.group, whole.trajectory, version, planned.summary)
-        return await self._play_spliced(goal, planned, checked, point)
+        version = scene.version if scene.version == outgoing.version else UNCHECKED
+        return await self._play_spliced(goal, planned, version, point)
 
-    async def _play_spliced(
-        self, goal: Goal, planned: PlannedSequence, motion: CheckedMotion, point: SplicePoint
-    ) -> Answer | None:
+    async def _play_spliced(self, goal: Goal, planned: Performed, version: int, point: SplicePoint) -> Answer | None:
         """Play a motion in the place of the outgoing one; None where the arm has passed the splice point."""
         self._show_soon(planned)
         self.recorder.start()
-        answer = await self._player.play(goal, motion, self._questions(motion), from_s=point.from_s)
+        [motion] = planned.planned
+        answer = await self._play(goal, motion, version, planned.summary, from_s=point.from_s)
         executed = None
         if goal.unlogged:
             # Nobody asks for the states of a motion in a stream.
             self.recorder.discard()
         else:
-            executed = self.recorder.finish(motion.trajectory.joint_names)
+            executed = self.recorder.finish(motion.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
-        return replace(answer, performed=replace(planned.performed, executed=executed))
+        return replace(answer, performed=replace(planned, executed=executed))
 
     async def _attempt(self, goal: Goal, request: PlannedMotion) -> Answer:
         try:
@@ -253,11 +279,11 @@ class GoalExecutor:
             version = self._scene.scene.version
             planned = await self._plan(goal, request)
             if planned.failure is not None:
-                return Answer.of(planned.failure, planned.performed)
+                return Answer.of(planned.failure, planned)
             goal.deadline.limits.check_duration(planned.duration_s, PLANNED_DURATION, MoveItErrorCode.FAILURE, FASTER)
             self._show_soon(planned)
             discarded = await self._confirmed(goal, planned) if request.confirm else None
-            return discarded or await self._play(goal, planned, version)
+            return discarded or await self._play_all(goal, planned, version)
         finally:
             self._in_progress.withdraw(request.joints)
 
@@ -268,23 +294,22 @@ class GoalExecutor:
         before, which takes some milliseconds: it takes over that much later.
         """
         for attempt, sending_s in enumerate(SENDINGS_S):
-            asked_s, version = self._context.clock(), self._scene.scene.version
+            asked_s, version = self._clock(), self._scene.scene.version
             brief = attempt == 0 or (attempt == 1 and self._checks_s[-1] < PERIOD_S)
             check_s = statistics.median_low(self._checks_s) if brief else max(self._checks_s)
             horizon_s = sending_s + CHECKS_AHEAD * check_s
             if goal.reason or (joined := self._joined(goal, request, asked_s, horizon_s)) is None:
                 break
             whole, point, arrives_s, passes_s = joined
-            planned = PlannedSequence(Performed({**self._held_rad(), **point.start_rad}, (whole,)))
-            checked = CheckedMotion(_group_of(self._context.robot, whole), whole, version, planned.summary)
+            planned = Performed({**self._held_rad(), **point.start_rad}, (whole,))
             goal.defer_replacement()
-            await goal.unless_cancelled(self._scene_monitor.check(functools.partial(self._questions(checked), 0.0)))
-            self._checks_s.append(self._context.clock() - asked_s)
+            await goal.unless_cancelled(self._check(functools.partial(self._questions, whole)))
+            self._checks_s.append(self._clock() - asked_s)
             # The arm compares the point with its last tick, so that a late one may still be ahead; it refuses others.
             # Where another goal waits, that goal would continue a motion that the arm has refused.
             latest_s = arrives_s - sending_s if goal.replacement_waits else passes_s
-            if self._context.clock() <= latest_s and not goal.reason:
-                answer = await self._play_spliced(goal, planned, checked, point)
+            if self._clock() <= latest_s and not goal.reason:
+                answer = await self._play_spliced(goal, planned, version, point)
                 if answer is not None:
                     return answer
             # The arm has passed the point, or will have: the next point is further ahead.
@@ -294,14 +319,14 @@ class GoalExecutor:
         self, goal: Goal, request: ExternalTrajectory, now_s: float, horizon_s: float
     ) -> tuple[Trajectory, SplicePoint, float, float] | None:
         """Return a trajectory behind its lead, the splice point, the expected and the latest arrival; else None."""
-        outgoing = self._player.outgoing
+        outgoing = self._outgoing
         if outgoing is None or not request.spliced:
             return None
-        if frozenset(outgoing.motion.trajectory.joint_names) != request.joints:
+        if frozenset(outgoing.trajectory.joint_names) != request.joints:
             return None
         arrives_s = min(now_s + horizon_s, outgoing.until_s)
         leaves_s = outgoing.path_time.earliest_leave_s(arrives_s)
-        point = outgoing.splice_point(now_s, leaves_s - now_s)
+        point = self._splice_point(now_s, leaves_s - now_s)
         if point is None or arrives_s <= now_s:
             return None
         whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
@@ -313,18 +338,18 @@ class GoalExecutor:
             return answer
         await self._until_ready(goal)
         held_rad = self._held_rad()
-        motion = request.trajectory(held_rad, self._context.clock(), None)
+        motion = request.trajectory(held_rad, self._clock(), None)
         goal.deadline.limits.check_duration(motion.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-        planned = PlannedSequence(Performed(held_rad, (motion,)))
+        planned = Performed(held_rad, (motion,))
         self._show_soon(planned)
         goal.defer_replacement()
-        return await self._play(goal, planned, UNCHECKED)
+        return await self._play_all(goal, planned, UNCHECKED)
 
     # Steps of an attempt.
 
     async def _until_ready(self, goal: Goal) -> None:
         """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal."""
-        await self._player.stop_outgoing()
+        await self._stop_outgoing()
         # Motions of preempted goals of other groups with some of the same joints.
         preempted = [motion.ended for motion in self._in_progress.of(goal.request.joints)]
         for ended in preempted:
@@ -338,59 +363,56 @@ class GoalExecutor:
             message = f"the arm is being steered and did not come to rest within {STREAMS_TIMEOUT_S:g} s"
             raise refused(MoveItErrorCode.CONTROL_FAILED, message)
 
-    async def _plan(self, goal: Goal, request: PlannedMotion) -> PlannedSequence:
+    async def _plan(self, goal: Goal, request: PlannedMotion) -> Performed:
         """Plan from where the arm holds, and again when it was moved meanwhile.
 
         Other groups may be moving: they are planned for at the end of their motions.
         """
-        found = planned = None
+        planned = None
         for _ in range(MAX_STARTS):
             self._in_progress.withdraw(request.joints)
-            found = await goal.unless_cancelled(self._plan_in_turn(request))
-            if found is None:
+            planned = await goal.unless_cancelled(self._plan_in_turn(request))
+            if planned is None:
                 break
-            planned, scene = found
             if planned.failure is not None:
-                await self._save(planned, scene)
-                explaining = with_nearest_goal(planned.failure, planned.problem, scene, self._context.pool)
+                await self._save(planned, planned.failure)
+                explaining = with_nearest_goal(planned.failure, planned.problem, planned.scene, self._context.pool)
                 return replace(planned, failure=await goal.unless_cancelled(explaining) or planned.failure)
-            if not self._moved_since(planned.performed.start_rad, request.joints):
+            if not self._moved_since(planned.start_rad, request.joints):
                 break
-        if found is None or planned is None:
+        if planned is None:
             goal.check("while planning")
             raise AssertionError("a plan is missing")
         return planned
 
-    async def _plan_in_turn(self, request: PlannedMotion) -> tuple[PlannedSequence, Scene]:
-        """Plan after the goals of other groups that came before; return the scene as well."""
+    async def _plan_in_turn(self, request: PlannedMotion) -> Performed:
+        """Plan after the goals of other groups that came before."""
         async with self._in_progress.turn:
             start_rad = self._expected_rad(request.joints)
             scene = self._scene.scene if request.scene is None else request.scene(start_rad)
             planned = await plan_sequence(request.steps, start_rad, scene, self._context.pool)
             if planned.failure is None:
                 self._in_progress.announce(request.joints, planned.end_rad)
-            return planned, scene
+            return planned
 
-    async def _save(self, planned: PlannedSequence, scene: Scene) -> None:
-        problem, failure = planned.problem, planned.failure
-        if self._context.failed_goals is None or failure is None or not isinstance(problem, PlanningProblem):
-            return
-        if failure.code is not MoveItErrorCode.PREEMPTED:
-            await self._context.failed_goals.save(problem, scene, failure)
+    async def _save(self, planned: Performed, failure: PlanningFailure) -> None:
+        keeper, problem = self._context.failed_goals, planned.problem
+        if keeper and isinstance(problem, PlanningProblem) and failure.code is not MoveItErrorCode.PREEMPTED:
+            await keeper.save(problem, planned.scene, failure)
 
-    def _show_soon(self, planned: PlannedSequence) -> None:
+    def _show_soon(self, planned: Performed) -> None:
         """Show a plan when the arm has it: to write one down for viewers takes milliseconds."""
-        asyncio.get_running_loop().call_soon(self._context.show, planned.performed)
+        asyncio.get_running_loop().call_soon(self._context.show, planned)
 
-    async def _confirmed(self, goal: Goal, planned: PlannedSequence) -> Answer | None:
-        if self._context.confirm is None:
+    async def _confirmed(self, goal: Goal, planned: Performed) -> Answer | None:
+        if self._context.confirmation is None:
             return None
-        answer = await goal.unless_cancelled(self._context.confirm(goal, planned))
+        answer = await goal.unless_cancelled(self._context.confirmation.wait(goal, planned))
         goal.check("before the motion began")
-        return None if answer is None else replace(answer, performed=planned.performed)
+        return None if answer is None else replace(answer, performed=planned)
 
-    async def _play(self, goal: Goal, planned: PlannedSequence, version: int) -> Answer:
-        motions = planned.performed.planned
+    async def _play_all(self, goal: Goal, planned: Performed, version: int) -> Answer:
+        motions = planned.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
         self.recorder.start()
         to_come_s = planned.duration_s
@@ -400,22 +422,20 @@ class GoalExecutor:
                 answer = await _answered(self._play_one(goal, motion, planned, version, to_come_s))
         executed = self.recorder.finish(motions[0].joint_names if motions else ())
         message = "; ".join((answer.message, *planned.notes))
-        return replace(answer, message=message, performed=replace(planned.performed, executed=executed))
+        return replace(answer, message=message, performed=replace(planned, executed=executed))
 
     async def _play_one(
-        self, goal: Goal, motion: Trajectory, planned: PlannedSequence, version: int, to_come_s: float
+        self, goal: Goal, motion: Trajectory, planned: Performed, version: int, to_come_s: float
     ) -> Answer:
         """Play one of the motions, as soon as it can touch no motion of another group."""
         joints = frozenset(motion.joint_names)
         # Where the other joints were to be while it was planned.
-        assumed_rad = {name: q for name, q in planned.performed.start_rad.items() if name not in joints}
+        assumed_rad = {name: q for name, q in planned.start_rad.items() if name not in joints}
         while True:
             whole = with_lead_in(motion, self._held_rad(), self._context.robot)
             present_version, beside = self._scene.scene.version, self._in_progress.beside(joints)
-            checked = CheckedMotion(_group_of(self._context.robot, whole), whole, present_version, planned.summary)
             if whole is not motion or present_version != version or self._moved_since(assumed_rad, joints):
-                question = checked.question(0.0, self._expected_rad(joints))
-                await goal.unless_cancelled(self._scene_monitor.check(functools.partial(tuple, (question,))))
+                await goal.unless_cancelled(self._check(functools.partial(self._questions, whole, alone=True)))
             in_the_way = await goal.unless_cancelled(self._first_meeting(whole, beside))
             goal.check("before the motion began")
             if in_the_way is not None:
@@ -423,12 +443,11 @@ class GoalExecutor:
                 goal.report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
                 await goal.unless_cancelled(asyncio.wait([in_the_way.ended]))
             elif all(one in beside for one in self._in_progress.beside(joints)):
-                return await self._player.play(goal, checked, self._questions(checked), to_come_s=to_come_s)
+                return await self._play(goal, whole, present_version, planned.summary, to_come_s=to_come_s)
 
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:
         for other in beside:
-            question = meeting_question(motion, other, self._expected_rad(frozenset(motion.joint_names)))
-            answer = await self._context.pool.ask(question, self._scene.scene)
+            answer = await self._context.pool.ask(self._meeting_question(motion, other), self._scene.scene)
             if isinstance(answer, PlanningFailure):
                 message = f"contact with {other.title} cannot be checked: {answer.message}"
                 raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, **answer.details)
@@ -437,16 +456,180 @@ class GoalExecutor:
                 return other
         return None
 
-    def _questions(self, motion: CheckedMotion) -> Callable[[float], Questions]:
-        """Return the function that asks if a motion is free from a time of it on, also of motions beside it."""
+    # One motion.
 
-        def questions(from_s: float) -> Questions:
-            joints = frozenset(motion.trajectory.joint_names)
-            expected_rad, beside = self._expected_rad(joints), self._in_progress.beside(joints)
-            meetings = (meeting_question(motion.trajectory, other, expected_rad) for other in beside)
-            return motion.question(from_s, expected_rad), *meetings
+    async def _play(
+        self,
+        goal: Goal,
+        motion: Trajectory,
+        version: int,
+        summary: str,
+        *,
+        from_s: float | None = None,
+        to_come_s: float = 0.0,
+    ) -> Answer:
+        """Play a motion, found free in a version of the scene, to its end; every wait is bounded.
 
-        return questions
+        Where the goal is cancelled the motion brakes along its path. Where another goal replaces it, the motion goes on
+        for a moment, and brakes unless the other motion has taken its place by then.
+
+        Args:
+            from_s: time on the outgoing motion at which this one begins, to replace it [s]; None to begin at rest.
+            to_come_s: duration of the goal's motions after this one [s].
+        """
+        outgoing, now_s, continues = self._outgoing, self._clock(), None
+        path_time = PathTime(now_s, 0.0, self._arm.rate)
+        if outgoing is not None and from_s is not None:
+            continues = outgoing.ended, from_s
+            path_time = PathTime(now_s, outgoing.path_time.at(now_s) - from_s, outgoing.path_time.rate)
+        ended = self._arm.execute(motion, continues=continues, epoch=goal.epoch)
+        goal.allow_replacement()
+        self._in_progress.add(motion, ended)
+        played = self._played = PlayedMotion(motion, version, ended, path_time)
+        self._check_again()
+        try:
+            return await self._until_ended(goal, played, summary, to_come_s)
+        finally:
+            self._played = None
+            if played.checking is not None:
+                played.checking.cancel()
+            # The goal is over, and so is its motion, also after an error here; an outgoing motion has its own end.
+            if not ended.done() and self._outgoing is not played:
+                self._arm.stop(ended)
+
+    async def _until_ended(self, goal: Goal, played: PlayedMotion, summary: str, to_come_s: float) -> Answer:
+        motion, ended = played.trajectory, played.ended
+        goal.deadline.begin(motion.duration_s)
+        # Not before the arm has the motion: listeners take milliseconds, in which it would pass the splice point.
+        goal.report(Progress(GoalState.EXECUTING, summary, 0.0, motion.duration_s + to_come_s))
+        watch = MotionWatch(self._arm, ended, goal, self._clock)
+        period_s, shown_by_s = PROGRESS_PERIOD_S, self._clock() + STATE_AGE_S
+        while not watch.over:
+            progress = await watch.step(period_s)
+            if goal.replaced and progress is None and not ended.done() and self._clock() < shown_by_s:
+                # The arm may yet refuse it, and its place on the path is not known to a tick.
+                period_s = PERIOD_S
+                continue
+            if goal.reason and played.end is None:
+                if goal.replaced and not ended.done():
+                    played.path_time, played.until_s = self._path_time(played), self._clock() + OUTGOING_S - SENDING_S
+                    self._outgoing = played
+                    # Braked then, whatever becomes of the other motion; a motion that was replaced by then goes on.
+                    asyncio.get_running_loop().call_later(OUTGOING_S, self._arm.stop, ended)
+                    return Answer(MoveItErrorCode.PREEMPTED, goal.reason)
+                played.end = Answer(MoveItErrorCode.PREEMPTED, goal.reason)
+            if progress is not None:
+                left_s = progress.remaining_s + to_come_s
+                goal.report(Progress(GoalState.EXECUTING, summary, progress.fraction, left_s))
+        if not ended.done():
+            lag = _greatest_lag(self._arm.state, motion.joint_names, self._context.robot)
+            played.end = played.end or Answer(MoveItErrorCode.TIMED_OUT, f"{goal.deadline.exceeded}; {lag}")
+        end = await watch.end()
+        if end.outcome is not Outcome.STOPPED:
+            return Answer(CODE_OF_OUTCOME[end.outcome], end.message, {"outcome": end.outcome.value})
+        if played.end is None:
+            return Answer(MoveItErrorCode.PREEMPTED, end.message)
+        return replace(played.end, message=f"{played.end.message}; {end.message}")
+
+    async def _stop_outgoing(self) -> None:
+        """Brake the outgoing motion, and wait for its end."""
+        outgoing, self._outgoing = self._outgoing, None
+        if outgoing is not None and not outgoing.ended.done():
+            self._arm.stop(outgoing.ended)
+            await self._arm.wait((outgoing.ended,), BRAKING_TIMEOUT_S)
+
+    def _splice_point(self, now_s: float, horizon_s: float) -> SplicePoint | None:
+        """Return the point, so far ahead [s], at which another motion can replace the outgoing one; else None."""
+        outgoing = self._outgoing
+        if outgoing is None or outgoing.ended.done():
+            return None
+        return splice_point_of(outgoing.trajectory, outgoing.path_time, now_s, horizon_s)
+
+    def _path_time(self, played: PlayedMotion) -> PathTime:
+        """Return the time on the path by the arm's latest state, or since the beginning, which it does not show yet."""
+        progress, pace, now_s = self._arm.progress(played.ended), self._arm.state.pace, self._clock()
+        rate = self._arm.rate * (pace.speed_factor if pace.direction is PlaybackDirection.FORWARD else 0.0)
+        if progress is None:
+            return PathTime(now_s, played.path_time.at(now_s), min(rate, played.path_time.rate))
+        rate = min(rate, self._arm.rate * progress.rate)
+        path_s = progress.fraction * played.trajectory.duration_s
+        if (tick_s := self._arm.state.tick_s) and self._arm.rate == 1.0:
+            return PathTime(tick_s, path_s, rate, at_tick=True)
+        return PathTime(now_s, path_s + self._arm.state_age_s * rate, rate)
+
+    # Contacts.
+
+    def _check_again(self) -> None:
+        """Check the rest of the motion in progress if the scene has changed."""
+        played = self._played
+        if played is not None and played.checking is None and played.version != self._scene.scene.version:
+            played.checking = asyncio.create_task(self._check_changes(played), name="check the rest of the motion")
+
+    async def _check_changes(self, played: PlayedMotion) -> None:
+        """Check until the scene no longer changes meanwhile; brake the motion unless it is free."""
+        try:
+            while played.version != self._scene.scene.version:
+                played.version = await self._check(
+                    lambda: self._questions(played.trajectory, self._played_for_good_s(played))
+                )
+        except RefusedError as error:
+            log.warning("the scene has changed: %s", error)
+            played.end = played.end or Answer.of(error.failure)
+            self._arm.stop(played.ended)
+        else:
+            played.checking = None
+
+    async def _check(self, questions: Callable[[], Questions]) -> int:
+        """Raise RefusedError unless a motion is free; return the version of the scene in which it is.
+
+        Planners that do not answer in time are asked again for as long as the arm may be silent: a busy machine keeps
+        both from the cores.
+        """
+        until_s = self._clock() + self._arm.state_max_age_s
+        while True:
+            scene = self._scene.scene
+            answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
+            for question in questions():
+                answer = await self._context.pool.ask(question, scene)
+                if isinstance(answer, PlanningFailure) or answer.contact is not None:
+                    break
+            late = isinstance(answer, PlanningFailure) and answer.code is MoveItErrorCode.TIMED_OUT
+            if not late or self._clock() >= until_s:
+                break
+        if isinstance(answer, PlanningFailure):
+            message = f"the motion cannot be checked for contacts: {answer.message}"
+            raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, **answer.details)
+        if answer.contact is not None:
+            raise RefusedError(answer.contact)
+        return scene.version
+
+    def _played_for_good_s(self, played: PlayedMotion) -> float:
+        """Return the part of a motion that is not played again [s]; on the way back all of it may be."""
+        progress = self._arm.progress(played.ended)
+        if progress is None or self._arm.state.pace.direction is PlaybackDirection.BACK:
+            return 0.0
+        return progress.fraction * played.trajectory.duration_s
+
+    def _questions(self, motion: Trajectory, from_s: float = 0.0, *, alone: bool = False) -> Questions:
+        """Return the questions if a motion is free from a time of it on [s], also of motions beside it, or alone."""
+        joints, groups = motion.joint_names, self._context.robot.groups
+        # Planners reject the empty group of joints that no group has.
+        group = next((name for name, group in groups.items() if group.joints == joints), "")
+        rest = RecheckQuestion(group, motion, self._others_rad(joints, joints), from_s)
+        beside = () if alone else self._in_progress.beside(frozenset(joints))
+        return rest, *(self._meeting_question(motion, other) for other in beside)
+
+    def _meeting_question(self, motion: Trajectory, other: MotionInProgress) -> ConcurrencyQuestion:
+        """Return the question if a motion may touch one in progress.
+
+        The whole of the other is asked about, not its rest alone: paused motions can be sent back to where they began.
+        """
+        moving = (*motion.joint_names, *other.trajectory.joint_names)
+        return ConcurrencyQuestion(motion, other.trajectory, self._others_rad(motion.joint_names, moving))
+
+    def _others_rad(self, joints: Sequence[str], moving: Sequence[str]) -> dict[str, float]:
+        """Return where the joints that do not move are expected during a motion of some joints [rad]."""
+        return {name: q for name, q in self._expected_rad(frozenset(joints)).items() if name not in moving}
 
     # Positions.
 
@@ -484,9 +667,13 @@ async def _in_time(work: Callable[[], Awaitable[Result]], limit_s: float) -> Res
         return None
 
 
-def _group_of(robot: RobotModel, motion: Trajectory) -> str:
-    """Return the group that has just these joints; empty when there is none, and planners then reject it."""
-    return next((name for name, group in robot.groups.items() if group.joints == motion.joint_names), "")
+def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:
+    if state.goal_rad is None or state.position_rad is None:
+        return "its joint positions are unknown"
+    error_rad = np.abs(state.goal_rad - state.position_rad)
+    lags = {name: float(error_rad[state.joint_names.index(name)]) for name in joints}
+    worst = max(lags, key=lambda name: lags[name])
+    return f"joint {worst} is {lags[worst]:.3f} {robot.joints[worst].unit} behind"
 
 
 class GoalExecutors:

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
 from collections.abc import Callable, Coroutine, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, TypeAlias, TypeVar
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.arm_group import AnyArm
-from robot.messages import Pace, PlaybackDirection
+from robot.messages import MotionEnded, MotionProgress, Outcome, Pace, PlaybackDirection
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import refused
-from server.execution.motions import Joints, Motion, Performed, Positions
-from server.graph.node import Node
+from server.execution.motions import NOTHING, Joints, Motion, Performed, Positions
+from server.graph.permissions import Node
 
 Result = TypeVar("Result")
 
 # A stream that was stopped has ended when the topic is silent for this time: clients publish at 10 Hz and more.
 STREAM_PAUSE_S = 0.5
 
+# A motion that overran is braked; no arm needs longer for that, by its own clock.
+BRAKING_TIMEOUT_S = 2.0
 
 # A slower motion counts as paused: at this share of its speed a motion of 3 s takes a minute.
 MIN_SPEED_FACTOR = 0.05
@@ -130,10 +133,10 @@ class Answer:
     code: MoveItErrorCode
     message: str
     details: Mapping[str, Any] = field(default_factory=dict)
-    performed: Performed | None = None
+    performed: Performed = NOTHING
 
     @classmethod
-    def of(cls, failure: PlanningFailure, performed: Performed | None = None) -> Answer:
+    def of(cls, failure: PlanningFailure, performed: Performed = NOTHING) -> Answer:
         return cls(failure.code, failure.message, failure.details, performed)
 
 
@@ -202,6 +205,56 @@ class CancelScope:
             self.cancelled.remove_done_callback(interrupt)
             if interrupted:
                 task.uncancel()
+
+
+class MotionWatch:
+    """Watch over one motion until it ends: brakes after a cancellation, counts its time; a grip keeps its speed."""
+
+    def __init__(
+        self,
+        arm: AnyArm,
+        motion: asyncio.Future[MotionEnded],
+        scope: CancelScope,
+        clock: Callable[[], float],
+        *,
+        gripping: bool = False,
+    ) -> None:
+        self._arm, self._motion, self._scope, self._gripping = arm, motion, scope, gripping
+        self._arm_clock = ArmStopwatch(arm, clock)
+        self._braked = False
+        motion.add_done_callback(lambda _ended: scope.news.set())
+
+    @property
+    def over(self) -> bool:
+        """True once the motion has ended or its time is over."""
+        return self._motion.done() or self._scope.deadline.exceeded is not None
+
+    async def step(self, period_s: float) -> MotionProgress | None:
+        """Wait for a period, the motion's end or its cancellation; return its progress, None where it is unknown."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(period_s):
+                await self._scope.news.wait()
+        self._scope.news.clear()
+        if self._scope.reason and not self._scope.replaced and not self._braked:
+            self._arm.stop(self._motion)
+            self._braked = True
+        progress = self._arm.progress(self._motion)
+        pace = Pace() if self._gripping else self._arm.state.pace
+        if progress is not None:
+            # A motion that the speed limit slows down uses its time up as slowly.
+            pace = replace(pace, speed_factor=min(pace.speed_factor, progress.rate))
+        self._scope.deadline.pass_time(self._arm_clock.elapsed_s(), pace)
+        return None if self._motion.done() else progress
+
+    async def end(self) -> MotionEnded:
+        """Return the end of the motion; a motion whose time is over is braked."""
+        if not self._motion.done():
+            self._arm.stop(self._motion)
+            await self._arm.wait((self._motion,), BRAKING_TIMEOUT_S)
+        if not self._motion.done():
+            message = f"{self._scope.deadline.exceeded}, and does not brake either"
+            return MotionEnded(0, Outcome.PROCESS_LOST, message)
+        return self._motion.result()
 
 
 class MessageStream:

@@ -1,20 +1,15 @@
-"""Monitors of execution: the arm's current state, its readiness, and the scene around a motion in progress."""
+"""Present state for execution: the arm's positions, its readiness, and the planning scene."""
 
-import asyncio
-import logging
-from collections.abc import Callable, Collection, Sequence
-from typing import Any, TypeAlias
+from collections.abc import Callable, Collection
+from typing import Any
 
-from planners.interface import Planners
-from planners.problem import ConcurrencyQuestion, MoveItErrorCode, PlanningFailure, RecheckAnswer, RecheckQuestion
+from planners.problem import MoveItErrorCode
 from planners.scene import EMPTY_SCENE
 from protocol.messages import Stamp
 from robot.arm_group import AnyArm, ArmGroup, states_of
 from robot.description.model import RobotModel
 from robot.messages import Mode
-from server.errors import RefusedError, refused
-
-log = logging.getLogger("armbridge.execution")
+from server.errors import refused
 
 # Services that refusals name as the remedy.
 ENABLE, RESET_FAULT = "/arm/enable", "/arm/reset_fault"
@@ -121,72 +116,3 @@ class CurrentScene:
     def changed(self) -> None:
         for callback in self._callbacks:
             callback()
-
-
-# Asked together about one motion: it is free if all answers are.
-Questions: TypeAlias = Sequence[RecheckQuestion | ConcurrencyQuestion]
-
-
-class SceneMonitor:
-    """Monitor of one motion at a time.
-
-    A planner that does not answer in time is asked again for as long as the arm may be silent: a busy machine keeps
-    both from the cores.
-    """
-
-    def __init__(self, pool: Planners, scene: CurrentScene, retry_for_s: float, clock: Callable[[], float]) -> None:
-        self._pool, self._scene = pool, scene
-        self._retry_for_s, self._clock = retry_for_s, clock
-        self._checked_version = 0
-        self._questions: Callable[[], Questions] | None = None
-        self._on_contact: Callable[[PlanningFailure], None] = lambda _contact: None
-        self._task: asyncio.Task[None] | None = None
-        scene.on_change(self._on_change)
-
-    async def check(self, questions: Callable[[], Questions]) -> None:
-        until_s = self._clock() + self._retry_for_s
-        while True:
-            scene = self._scene.scene
-            answer: RecheckAnswer | PlanningFailure = RecheckAnswer(None)
-            for question in questions():
-                answer = await self._pool.ask(question, scene)
-                if isinstance(answer, PlanningFailure) or answer.contact is not None:
-                    break
-            late = isinstance(answer, PlanningFailure) and answer.code is MoveItErrorCode.TIMED_OUT
-            if not late or self._clock() >= until_s:
-                break
-        self._checked_version = scene.version
-        if isinstance(answer, PlanningFailure):
-            message = f"the motion cannot be checked for contacts: {answer.message}"
-            raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, message, **answer.details)
-        if answer.contact is not None:
-            raise RefusedError(answer.contact)
-
-    def start(
-        self, version: int, questions: Callable[[], Questions], on_contact: Callable[[PlanningFailure], None]
-    ) -> None:
-        """Monitor a motion until :meth:`stop`, or until it is not free: then call ``on_contact`` once, and stop."""
-        self._checked_version, self._questions, self._on_contact = version, questions, on_contact
-        self._on_change()
-
-    def stop(self) -> None:
-        self._questions = None
-        if self._task is not None:
-            self._task.cancel()
-            self._task = None
-
-    def _on_change(self) -> None:
-        if self._questions is not None and self._task is None:
-            self._task = asyncio.create_task(self._check_changes(), name="check the rest of the motion")
-
-    async def _check_changes(self) -> None:
-        """Check until the scene no longer changes meanwhile."""
-        try:
-            while self._questions is not None and self._scene.scene.version != self._checked_version:
-                await self.check(self._questions)
-        except RefusedError as error:
-            if self._questions is not None:
-                self._questions = None
-                log.warning("the scene has changed: %s", error)
-                self._on_contact(error.failure)
-        self._task = None

@@ -6,9 +6,10 @@ trajectory that does not start where the arm is gets a lead-in.
 
 from __future__ import annotations
 
+import asyncio
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -25,9 +26,10 @@ from planners.problem import (
     PlanningFailure,
     PlanningProblem,
 )
-from planners.scene import Scene
+from planners.scene import EMPTY_SCENE, Scene
 from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
+from robot.messages import MotionEnded
 from robot.trajectory import Trajectory
 from server.errors import RefusedError, refused
 
@@ -84,64 +86,61 @@ Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 
 @dataclass(frozen=True)
 class Performed:
-    """Motions planned for a goal, and the path of the arm by its readings; None when it did not move."""
+    """Motions planned for a goal, and the path of the arm by its readings."""
 
     start_rad: Mapping[str, float]
     planned: tuple[Trajectory, ...] = ()
-    executed: Trajectory | None = None
+    executed: Trajectory | None = None  # None when the arm did not move
     planning_time_s: float = 0.0
-
-
-@dataclass(frozen=True)
-class PlannedSequence:
-    """Result of planning a sequence; the failure says why the next motion is missing."""
-
-    performed: Performed
-    methods: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    failure: PlanningFailure | None = None
-    problem: Problem | None = None
+    methods: tuple[str, ...] = ()  # of planning, for each motion
+    notes: tuple[str, ...] = ()  # sentences on ends that are not at their goals
+    scene: Scene = EMPTY_SCENE  # in which the motions were planned
+    problem: Problem | None = None  # problem that failed, else the first one
+    failure: PlanningFailure | None = None  # reason for which the next motion is missing
 
     @property
     def duration_s(self) -> float:
-        return sum(motion.duration_s for motion in self.performed.planned)
+        return sum(motion.duration_s for motion in self.planned)
 
     @property
-    def end_rad(self) -> Positions:
+    def end_rad(self) -> dict[str, float]:
         """Positions of the joints that move, at the end of the last motion [rad]."""
         ends: dict[str, float] = {}
-        for motion in self.performed.planned:
-            ends |= _end_positions(motion)
+        for motion in self.planned:
+            ends |= zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True)
         return ends
 
     @property
     def summary(self) -> str:
         """Sentence for people: duration, methods and planning time; of a motion that a client sent, the first alone."""
-        planning_s = self.performed.planning_time_s
-        planning = [f"planned in {planning_s * 1e3:.0f} ms"] if planning_s else []
-        found = "; ".join([*([", ".join(self.methods)] if self.methods else []), *planning])
+        planning = f"planned in {self.planning_time_s * 1e3:.0f} ms" if self.planning_time_s else ""
+        found = "; ".join(filter(None, (", ".join(self.methods), planning)))
         return f"a motion of {self.duration_s:.1f} s{f' ({found})' if found else ''}"
 
-    def with_plan(self, plan: Plan | CartesianPlan) -> PlannedSequence:
+    def with_plan(self, problem: Problem, plan: Plan | CartesianPlan) -> Performed:
         note = deviation_note(plan.deviation)
-        performed = replace(
-            self.performed,
-            planned=(*self.performed.planned, plan.trajectory),
-            planning_time_s=self.performed.planning_time_s + plan.planning_time_s,
+        return replace(
+            self,
+            planned=(*self.planned, plan.trajectory),
+            planning_time_s=self.planning_time_s + plan.planning_time_s,
+            methods=(*self.methods, plan.method if isinstance(plan, Plan) else "path of the tip"),
+            notes=(*self.notes, note) if note else self.notes,
+            problem=self.problem or problem,
         )
-        method = plan.method if isinstance(plan, Plan) else "path of the tip"
-        return PlannedSequence(performed, (*self.methods, method), (*self.notes, note) if note else self.notes)
+
+
+NOTHING = Performed({})
 
 
 async def plan_sequence(
     steps: Sequence[MotionStep], start_rad: Positions, scene: Scene, planners: Planners
-) -> PlannedSequence:
+) -> Performed:
     """Plan all steps, or those before the first that cannot be planned."""
-    now_rad, planned = dict(start_rad), PlannedSequence(Performed(start_rad))
+    planned = Performed(start_rad, scene=scene)
     for number, step in enumerate(steps):
         problem = None
         try:
-            problem = step.problem(now_rad)
+            problem = step.problem({**start_rad, **planned.end_rad})
             plan = await _plan(problem, scene, planners)
         except RefusedError as error:
             failure = error.failure
@@ -149,14 +148,8 @@ async def plan_sequence(
                 details = {**failure.details, "item": number}
                 failure = replace(failure, message=f"items[{number}]: {failure.message}", details=details)
             return replace(planned, failure=failure, problem=problem)
-        planned = planned.with_plan(plan)
-        # A new mapping: the problem keeps the one it was made for.
-        now_rad = {**now_rad, **_end_positions(plan.trajectory)}
+        planned = planned.with_plan(problem, plan)
     return planned
-
-
-def _end_positions(motion: Trajectory) -> dict[str, float]:
-    return dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
 
 
 async def _plan(problem: Problem, scene: Scene, planners: Planners) -> Plan | CartesianPlan:
@@ -329,6 +322,64 @@ def _between(motion: Trajectory, from_s: float, to_s: float) -> Trajectory:
     columns = [np.vstack((first[i], array[inside], last[i])) for i, array in enumerate(arrays)]
     time_s = np.concatenate(([0.0], motion.time_s[inside] - from_s, [to_s - from_s]))
     return Trajectory(motion.joint_names, time_s, *columns)
+
+
+@dataclass(frozen=True)
+class MotionInProgress:
+    """Motion that the arm plays."""
+
+    trajectory: Trajectory
+    ended: asyncio.Future[MotionEnded]
+
+    @property
+    def title(self) -> str:
+        names = self.trajectory.joint_names
+        return f"the motion of {names[0]}" + (f" to {names[-1]}" if len(names) > 1 else "")
+
+
+class MotionsInProgress:
+    """Motions of all goals, by which motions of some joints are planned around others, one goal at a ``turn``."""
+
+    def __init__(self) -> None:
+        self._motions: dict[asyncio.Future[MotionEnded], MotionInProgress] = {}
+        self._announced: dict[Joints, Mapping[str, float]] = {}
+        self.turn = asyncio.Lock()
+
+    def announce(self, joints: Joints, end_rad: Mapping[str, float]) -> None:
+        """Tell where motions of some joints that are planned will end [rad]."""
+        self._announced[joints] = end_rad
+
+    def withdraw(self, joints: Joints) -> None:
+        self._announced.pop(joints, None)
+
+    def add(self, trajectory: Trajectory, ended: asyncio.Future[MotionEnded]) -> None:
+        if not ended.done():
+            self._motions[ended] = MotionInProgress(trajectory, ended)
+            ended.add_done_callback(lambda _ended: self._motions.pop(ended, None))
+
+    def of(self, joints: Iterable[str]) -> list[MotionInProgress]:
+        wanted = frozenset(joints)
+        return [one for one in self._live if wanted & set(one.trajectory.joint_names)]
+
+    def beside(self, joints: Joints) -> list[MotionInProgress]:
+        """Return the motions of none but other joints."""
+        return [one for one in self._live if not joints & set(one.trajectory.joint_names)]
+
+    def expected_rad(self, held_rad: Mapping[str, float], joints: Joints) -> dict[str, float]:
+        """Return the positions [rad] of some joints now, and of others after their motions, begun or announced."""
+        expected_rad = dict(held_rad)
+        for one in self.beside(joints):
+            end_rad = one.trajectory.positions_rad[-1].tolist()
+            expected_rad |= zip(one.trajectory.joint_names, end_rad, strict=True)
+        for announced, end_rad_of in self._announced.items():
+            if not announced & joints:
+                expected_rad |= end_rad_of
+        return expected_rad
+
+    @property
+    def _live(self) -> list[MotionInProgress]:
+        # The callback of an end comes a turn of the event loop later than the end.
+        return [one for one in self._motions.values() if not one.ended.done()]
 
 
 # Smaller deviations are within what a servo arm reaches anyway [m], [rad].

@@ -59,7 +59,7 @@ class ArmControl(Feature):
         each = self._arms[arm]
         # The joints of all arms are published without subscribers too, for a recording. One arm's own would cost as
         # much again.
-        if not arm or each.graph.subscribers(JOINT_STATES):
+        if not arm or each.node.subscribers(JOINT_STATES):
             self._states[arm].publish_joints(read_now(each.served.arm, state))
         self._states[arm].take_state(state, each.served.arm.last_stop)
 

@@ -28,9 +28,9 @@ from server.datasets.rendered import (
 from server.errors import GraphError
 from server.features.context import ServerContext
 from server.features.physics import Physics
-from server.graph.node import Node
 from server.graph.permissions import WORKING
 from server.graph.services import answering
+from server.graph.topics import LocalNode
 from server.lifecycle import Feature, end_task
 from server.moveit.messages import Message, pose_of, write_transform
 from server.moveit.scene.collision_objects import CollisionObject
@@ -78,8 +78,8 @@ class Cameras(Feature):
         # An episode that is recorded must not wait for its first images.
         self._recorded = context.settings.recording.file is not None
         self._cameras: dict[str, PublishedCamera] = {}  # by name
-        self._node = Node("cameras")
-        self._nodes: dict[str, Node] = {}  # publishers of the cameras, by name
+        self._node = context.graph.node("cameras")
+        self._nodes: dict[str, LocalNode] = {}  # publishers of the cameras, by name
         self._due_s: dict[str, float] = {}  # by name
         self._bodies: dict[str, tuple[CollisionObject, Body]] = {}
         self._child: Child | None = None
@@ -94,10 +94,9 @@ class Cameras(Feature):
         self._restart_delay = RestartDelay()
         for each in cameras:
             self._put(each.namespace.strip("/"), each)
-        services = context.graph.services
         for name, serve in (("Set", self._set), ("Remove", self._remove)):
             offered, type_name = f"/simulation/{name.lower()}_camera", f"armbridge_msgs/srv/{name}Camera"
-            services.offer(self._node, offered, type_name, answering(serve), rule=WORKING)
+            self._node.offer(offered, type_name, answering(serve), rule=WORKING)
 
     async def start(self) -> None:
         self._publish_frames(())
@@ -124,7 +123,7 @@ class Cameras(Feature):
             if not waits and (watched[name] or self._graph.subscribers(each.info_topic)) and self._is_due(name, state):
                 # The info goes along with an image, since users of a recording need it.
                 header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": each.optical_frame}
-                self._graph.publish(self._nodes[name], each.info_topic, {"header": header, **camera_info(each.camera)})
+                self._nodes[name].publish(each.info_topic, {"header": header, **camera_info(each.camera)})
                 ordered += watched[name]
         if ordered:
             self._send(Render(ordered, self._seen(state, state.position_rad.tolist())))
@@ -223,10 +222,10 @@ class Cameras(Feature):
 
     def _put(self, name: str, camera: PublishedCamera) -> None:
         """Offer the topics of a camera; raises GraphError where a client has given one of them another type."""
-        node = Node(f"camera {name}")
+        node = self._graph.node(f"camera {name}")
         try:
             for topic, type_name in camera.topics.items():
-                self._graph.advertise(node, topic, type_name)
+                node.advertise(topic, type_name)
         except GraphError:
             self._graph.remove(node)
             raise
@@ -245,7 +244,7 @@ class Cameras(Feature):
             for each in self._cameras.values()
         ]
         transforms = [each for each in known if each["child_frame_id"] not in before] + own
-        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, {"transforms": transforms}, latch=True)
+        self._node.publish(STATIC_TRANSFORMS_TOPIC, {"transforms": transforms}, latch=True)
 
     def _send(self, message: object) -> None:
         self._ready, self._ordered_at_s = False, time.monotonic()
@@ -260,7 +259,7 @@ class Cameras(Feature):
             self._failures = 0
             # A camera may have been removed meanwhile.
             if node := next((self._nodes[name] for name, of in self._cameras.items() if topic in of.topics), None):
-                self._graph.publish(node, topic, each)
+                node.publish(topic, each)
         self._ready = True
 
     def _give_up(self, reason: str) -> None:

@@ -19,7 +19,6 @@ from server.features.context import ArmContext, ServerContext
 from server.gateway import http_goals
 from server.gateway.http import HttpHandler, HttpResponse, Route
 from server.gateway.listener import Listener
-from server.graph.node import Node
 from server.graph.permissions import NameFilter, Role, Rule
 from server.graph.services import MAX_TIMEOUT_S
 from server.graph.topics import Graph
@@ -49,9 +48,9 @@ class Clients(Feature):
             access,
             takes_goals_along=stops,
         )
-        node = Node("classroom")
-        context.graph.advertise(node, CLASSROOM_TOPIC, "std_msgs/String", latch=True)
-        context.graph.publish(node, CLASSROOM_TOPIC, {"data": json.dumps(context.settings.server.classroom)})
+        node = context.graph.node("classroom")
+        node.advertise(CLASSROOM_TOPIC, "std_msgs/String", latch=True)
+        node.publish(CLASSROOM_TOPIC, {"data": json.dumps(context.settings.server.classroom)})
         offer_one_time_tokens(
             context.graph, access.one_time_tokens, access.tokens, lambda: self.listener.page_urls_elsewhere
         )

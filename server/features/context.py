@@ -14,20 +14,18 @@ from robot.description.model import RobotModel
 from server.access.authorization import Access
 from server.arm.arms import ServedArm
 from server.config import Settings
+from server.execution.confirmation import Confirmation
 from server.execution.executor import ExecutionContext, GoalExecutors
 from server.execution.failures import FailedGoals
 from server.execution.goal import Answer, Goal, GoalRequest, TimeLimits
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.execution.queue import GoalListener, GoalQueue, RunningGoal
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.topics import Graph
+from server.graph.topics import Graph, LocalGraph, LocalNode
 from server.monitoring.monitor import GoalCounters
 from server.moveit.actions.gripper import Gripper, GripperLimits
 from server.moveit.display import DisplayTopics
-from server.moveit.goals.goal_messages import GoalOptions, GoalTranslator
-from server.moveit.goals.goal_topics import Confirmation
+from server.moveit.goals.goal_topics import GoalOptions, GoalTranslator
 from server.moveit.named_states import NamedStates, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import planning_group
@@ -58,7 +56,7 @@ class Goals(GoalListener):
             self.time_limits,
             None if directory is None else FailedGoals(directory, robot, time.time, max_files),
             planning.display.performed,
-            self.confirmation.wait,
+            self.confirmation,
         )
         self.executors = GoalExecutors(arm, execution)
         self.queue = GoalQueue(self.executors, goals.policy, goals.capacity)
@@ -80,7 +78,7 @@ class ArmContext:
     parameters: MoveItParameters
     planning: PlanningContext
     goals: Goals
-    node: Node
+    node: LocalNode
 
     @property
     def name(self) -> str:
@@ -181,7 +179,7 @@ def context_of(
         display=DisplayTopics(graph, robot),
     )
     goals = Goals(graph, whole_arm.arm, planning, settings)
-    whole = ArmContext(whole_arm, LocalGraph(graph), moveit, planning, goals, Node("moveit"))
+    whole = ArmContext(whole_arm, LocalGraph(graph), moveit, planning, goals, graph.node("moveit"))
     several = [
         ArmContext(
             each,
@@ -191,7 +189,7 @@ def context_of(
             ),
             planning,
             goals,
-            Node(f"moveit of {each.name}"),
+            LocalGraph(graph, each.name).node(f"moveit of {each.name}"),
         )
         for each in single_arms
         if each is not whole_arm

@@ -9,7 +9,7 @@ from pathlib import Path
 from planners.servo.question import ACCELERATION_SHARE, APPROACH_PER_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState
-from server.actionlib import ActionlibBridge
+from server.actionlib import bridge_actions
 from server.config import Settings
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
@@ -119,10 +119,10 @@ class ArmGoals(Feature):
         self._actions = [*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, REPUBLISHER_ACTION]
         for arm in context.arms:
             self._offer(arm)
-        self._actionlib = ActionlibBridge(context.graph, time.monotonic, call_later)
+        self._graph = context.graph
 
     async def start(self) -> None:
-        self._actionlib.open(self._actions)
+        bridge_actions(self._graph, self._actions, time.monotonic, call_later)
 
     def on_state(self, arm: str, state: ArmState) -> None:
         for controller in self._controllers[arm]:
@@ -131,8 +131,8 @@ class ArmGoals(Feature):
     def _offer(self, arm: ArmContext) -> None:
         """Offer goals of an arm; goals of several arms are published by the names of each arm that they move too."""
         graph, goals, planning = arm.graph, arm.goals, arm.planning
-        goals.queue.listeners.append(GoalStatusTopics(graph, arm.node, planning.robot, arm.only_joints))
-        GoalTopics(graph, arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
+        goals.queue.listeners.append(GoalStatusTopics(arm.node, planning.robot, arm.only_joints))
+        GoalTopics(arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
         GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
         default = planning_group(planning.robot, "", arm.parameters).name
         trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)

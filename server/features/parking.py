@@ -29,7 +29,6 @@ from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Prog
 from server.execution.motions import PlannedMotion, Positions
 from server.execution.queue import GoalListener
 from server.features.context import ArmContext, ServerContext
-from server.graph.node import Node
 from server.graph.permissions import SWITCHING
 from server.lifecycle import BackgroundTask, Feature
 from server.moveit.messages import Message
@@ -95,7 +94,7 @@ class ArmParking:
         self._parked: set[asyncio.Task[CommandDone]] = set()
         if self._pose is None and EndState.PARK in (settings.on_exit, settings.on_server_lost):
             log.warning("%s Instead of being parked at the end, it is relaxed.", self._no_pose)
-        context.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._serve, rule=SWITCHING)
+        context.graph.node("arm services").offer(PARK, "std_srvs/Trigger", self._serve, rule=SWITCHING)
 
     def _serve(self, _request: Message) -> Awaitable[Message]:
         return trigger_response(self.park(self.context.graph.resolve(PARK)))
@@ -294,11 +293,7 @@ class _Place:
     speed_limit: float
 
     def same_as(self, other: _Place | None) -> bool:
-        if other is None or (self.version, self.arms, self.speed_limit) != (
-            other.version,
-            other.arms,
-            other.speed_limit,
-        ):
+        if other is None or replace(self, held_rad=other.held_rad) != other:
             return False
         return all(abs(value - other.held_rad[name]) <= SAME_PLACE_RAD for name, value in self.held_rad.items())
 
@@ -383,7 +378,7 @@ class Parkings(Feature, GoalListener):
         if self._several:
             context.goals.queue.listeners.append(self)
             self.deadline_s = len(self._parkings) * (PREPARING_S + CLOSE_LIMIT_S)
-            context.whole.graph.offer(Node("arm services"), PARK, "std_srvs/Trigger", self._park_each, rule=SWITCHING)
+            context.whole.graph.node("arm services").offer(PARK, "std_srvs/Trigger", self._park_each, rule=SWITCHING)
 
     async def _park_each(self, _request: Message) -> Message:
         """Park the arms one after the other: on their ways at the same time they could wait for each other."""

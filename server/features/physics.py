@@ -20,7 +20,6 @@ from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, Body, BodyState, 
 from server.config import NamedArmSettings
 from server.errors import ConfigurationError, RefusedError, ServerError, ServiceError
 from server.features.context import ArmContext, ServerContext
-from server.graph.node import Node
 from server.graph.permissions import WORKING
 from server.graph.services import answering
 from server.lifecycle import Feature
@@ -150,7 +149,7 @@ class Physics(Feature):
         self._update_s, self._released_after_s = UPDATE_S * settings.rate, RELEASED_AFTER_S * settings.rate
         if settings.world is not None:
             self._open_world(settings.world, settings.world_seed, context)
-        node, services = Node("simulation"), context.graph.services
+        node = context.graph.node("simulation")
         for name, type_name, serve in (
             ("set_body", SET_BODY_TYPE, answering(self._set_body)),
             ("set_pose", "armbridge_msgs/srv/SetBodyPose", answering(self._set_pose)),
@@ -158,11 +157,11 @@ class Physics(Feature):
             ("pause", "std_srvs/srv/SetBool", self._pause),
             ("step", "armbridge_msgs/srv/StepSimulation", self._step),
         ):
-            services.offer(node, f"/simulation/{name}", type_name, serve, rule=WORKING)
+            node.offer(f"/simulation/{name}", type_name, serve, rule=WORKING)
         for each in worlds:
             if each.name:
                 set_body = answering(functools.partial(self._set_body, mover=each.name))
-                each.graph.offer(node, "/simulation/set_body", SET_BODY_TYPE, set_body, rule=WORKING)
+                each.graph.node("simulation").offer("/simulation/set_body", SET_BODY_TYPE, set_body, rule=WORKING)
         self._scene.on_change(self._follow_scene)
 
     @property

@@ -3,7 +3,6 @@
 from protocol.messages import Stamp
 from robot.messages import ArmState
 from server.features.context import ServerContext
-from server.graph.node import Node
 from server.lifecycle import Feature
 
 TOPIC = "/clock"
@@ -15,13 +14,13 @@ class SimulatedTime(Feature):
     name = "the simulated time"
 
     def __init__(self, context: ServerContext) -> None:
-        self._graph, self._node = context.graph, Node("clock")
-        self._graph.advertise(self._node, TOPIC, "rosgraph_msgs/Clock")
+        self._node = context.graph.node("clock")
+        self._node.advertise(TOPIC, "rosgraph_msgs/Clock")
 
     @property
     def observes_states(self) -> bool:
-        return bool(self._graph.subscribers(TOPIC))
+        return bool(self._node.subscribers(TOPIC))
 
     def on_state(self, _arm: str, state: ArmState) -> None:
         """Publish the time of the only arm."""
-        self._graph.publish(self._node, TOPIC, {"clock": Stamp.from_seconds(state.stamp_s).as_message()})
+        self._node.publish(TOPIC, {"clock": Stamp.from_seconds(state.stamp_s).as_message()})

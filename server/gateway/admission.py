@@ -95,20 +95,11 @@ RETRY_AFTER_S = 5
 SHARE_OF_ADDRESS = 0.8
 
 
-class ConnectionSlot:
-    """Place of one connection, from its beginning to its end."""
+class ConnectionSlot(NamedTuple):
+    """Place of one connection, to be released at its end, once."""
 
-    __slots__ = ("_release", "rejection")
-
-    def __init__(self, rejection: HttpResponse | None, release: Callable[[], None]) -> None:
-        self.rejection = rejection
-        self._release: Callable[[], None] | None = release
-
-    def release(self) -> None:
-        """Free the place; once is enough."""
-        if self._release is not None:
-            release, self._release = self._release, None
-            release()
+    rejection: HttpResponse | None
+    release: Callable[[], None]
 
 
 class _Address:

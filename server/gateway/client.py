@@ -46,80 +46,14 @@ MAX_FIRST_BYTES = 4096
 _NOT_FIRST = "the first message must be auth, with a token of this server"
 
 
-class ClientAuth:
-    """Authentication of one client; a wrong token ends its connection, and counts under its IP address."""
-
-    def __init__(self, context: ClientContext, authorizer: Authorizer) -> None:
-        self._context = context
-        self._access = context.gateway.access
-        self._authorizer = authorizer
-        self._disconnected = False
-        self._identity: Identity | None = None
-
-    def leave(self) -> None:
-        """Forget the one-time token of a client that has left."""
-        self._access.one_time_tokens.release(self._identity)
-
-    def check_first_frame(self, frame: str | bytes) -> bool:
-        """Check a frame of a client without identity; return True if it may be read."""
-        if not self._disconnected and len(frame) > MAX_FIRST_BYTES:
-            self._disconnect(_NOT_FIRST)
-        return not self._disconnected
-
-    def check_first_operation(self, items: Sequence[Operation | Refusal | Packed]) -> bool:
-        """Check the operations in the first frame; return True when the first of them is ``auth``."""
-        first = items[0] if items else None
-        if isinstance(first, Refusal) and first.op == "auth":
-            self._disconnect(first.text)
-        elif not isinstance(first, Auth):
-            # Without the text that came: it may be a bare token.
-            self._disconnect(_NOT_FIRST)
-        return not self._disconnected
-
-    def authenticate(self, operation: Auth) -> None:
-        """Give the client the identity of the token that it shows, or disconnect it."""
-        context, access = self._context, self._access
-        node, tell, connection = context.node, context.status.tell, context.connection
-        if not access.tokens.any:
-            tell("info", operation, "this server has no tokens; nothing changes")
-            return
-        throttle = context.gateway.throttle
-        wait = throttle.refusal(connection.address)
-        if wait is not None:
-            self._disconnect(wait)
-            return
-        identity = access.identify(operation)
-        if isinstance(identity, str):
-            throttle.record_failure(connection.address, operation.token or operation.mac)
-            self._disconnect(f"auth: {identity}")
-            return
-        access.one_time_tokens.release(self._identity)
-        self._identity = identity
-        former, is_new = node.name, identity != node.identity
-        self._authorizer.authenticate(identity)
-        node.name = display_name(identity, node.address)
-        connection.limit_messages()
-        role = identity.role.name.lower()
-        # The same token may come again and again.
-        if is_new:
-            log.info("%s is %s, with the role %s", former, node.name, role)
-        tell("info", operation, f"this client is {identity.name}, with the role {role}")
-
-    def _disconnect(self, reason: str) -> None:
-        self._disconnected = True
-        self._context.node.identity = None
-        self._authorizer.leave()
-        log.warning("%s: %s; closing", self._context.node, reason)
-        self._context.connection.disconnect(reason)
-
-
 class Client:
-    """Client of rosbridge."""
+    """Client of rosbridge; a wrong token ends its connection, and counts under its IP address."""
 
     def __init__(self, context: ClientContext) -> None:
         self.node = context.node
         self.session = context.session
         self.status = context.status
+        self.wake = context.wake
         self.received_messages = 0
         self._context = context
         self._graph = context.graph
@@ -127,8 +61,8 @@ class Client:
         self.topics = ClientTopics(context, self._authorizer)
         self.services = ClientServices(context)
         self.actions = ClientActions(context)
-        self.auth = ClientAuth(context, self._authorizer)
         self.inbox = Inbox(self, context)
+        self._shown: Identity | None = None  # identity of the last token
 
     def receive_frame(self, frame: str | bytes, epoch: int | None = None) -> None:
         """Take a frame, to be carried out in the client's turn; nothing in it can raise."""
@@ -143,7 +77,7 @@ class Client:
         self._graph.remove(self.node)
         if self.session.dropped:
             log.warning("%s: %d messages were dropped because it read too slowly", self.node, self.session.dropped)
-        self.auth.leave()
+        self._context.gateway.access.one_time_tokens.release(self._shown)
         # They lead back here: without them all of the client is freed at once, without the garbage collector.
         del self._context.connection, self._context.status, self.topics.subscriber, self.inbox.client
 
@@ -158,10 +92,13 @@ class Client:
         """Read a frame; until a client has an identity, nothing but an ``auth`` of the least size is read."""
         if self.identified:
             return self.session.receive_frame(frame, self._context.clock())
-        if not self.auth.check_first_frame(frame):
-            return ()
-        items = self.session.receive_frame(frame, self._context.clock())
-        return items if self.auth.check_first_operation(items) else ()
+        items = self.session.receive_frame(frame, self._context.clock()) if len(frame) <= MAX_FIRST_BYTES else ()
+        first = items[0] if items else None
+        if isinstance(first, Auth):
+            return items
+        # Without the text that came: it may be a bare token.
+        self._disconnect(first.text if isinstance(first, Refusal) and first.op == "auth" else _NOT_FIRST)
+        return ()
 
     def publish_strictly(self, frame: str) -> bool:
         """Publish the message of a frame the strict way; False for a frame to be read the general way."""
@@ -294,7 +231,41 @@ class Client:
             case Status():
                 self.status.log_status(operation)
             case Auth():
-                self.auth.authenticate(operation)
+                self._authenticate(operation)
+
+    def _authenticate(self, operation: Auth) -> None:
+        """Give the client the identity of the token that it shows, or disconnect it."""
+        context, node, tell = self._context, self.node, self.status.tell
+        access, throttle, connection = context.gateway.access, context.gateway.throttle, context.connection
+        if not access.tokens.any:
+            tell("info", operation, "this server has no tokens; nothing changes")
+            return
+        wait = throttle.refusal(connection.address)
+        if wait is not None:
+            self._disconnect(wait)
+            return
+        identity = access.identify(operation)
+        if isinstance(identity, str):
+            throttle.record_failure(connection.address, operation.token or operation.mac)
+            self._disconnect(f"auth: {identity}")
+            return
+        access.one_time_tokens.release(self._shown)
+        self._shown = identity
+        former, is_new = node.name, identity != node.identity
+        self._authorizer.authenticate(identity)
+        node.name = display_name(identity, node.address)
+        connection.limit_messages()
+        role = identity.role.name.lower()
+        # The same token may come again and again.
+        if is_new:
+            log.info("%s is %s, with the role %s", former, node.name, role)
+        tell("info", operation, f"this client is {identity.name}, with the role {role}")
+
+    def _disconnect(self, reason: str) -> None:
+        self.node.identity = None
+        self._authorizer.leave()
+        log.warning("%s: %s; closing", self.node, reason)
+        self._context.connection.disconnect(reason)
 
     def _refuse(self, refusal: Refusal) -> None:
         """Report an operation that cannot be read; clients that wait for it, or for its answer, get a failure."""

@@ -38,8 +38,8 @@ from robot.logs import LogLimiter
 from server.access.authentication import AuthThrottle
 from server.access.authorization import Access
 from server.errors import GraphError
-from server.gateway.turns import ClientScheduling
-from server.graph.node import Node
+from server.gateway.turns import Turns
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ class Gateway:
     graph: Graph
     access: Access
     throttle: AuthThrottle
-    scheduling: ClientScheduling
+    turns: Turns
     budget: SendBudget = field(default_factory=SendBudget)
     limits: Limits = field(default_factory=Limits)
     ros_version: int = 2
@@ -199,7 +199,7 @@ class ClientContext:
         self.session = session
         self.gateway = gateway
         self.graph = gateway.graph
-        self.clock = gateway.scheduling.turns.clock
+        self.clock = gateway.turns.clock
         self.transport = transport
         self.connection = connection
         self.left = False

@@ -100,7 +100,7 @@ class ClientTopics:
         if topic is None:
             return False
         holds = topic.revision == graph.revision or graph.strict_reader(self._node, topic.name) is topic.reader
-        message = topic.reader.read(frame, spelled) if holds and self._authorizer.may_publish(spelled) else None
+        message = topic.reader.read(frame, spelled) if holds and spelled in self._authorizer.settled else None
         if message is None:
             del self._strict_topics[spelled]
             return False

@@ -13,8 +13,7 @@ from protocol.session import Session
 from server.gateway.client import Client
 from server.gateway.client_context import ClientContext, Gateway
 from server.gateway.transport import Transport
-from server.graph.node import Node
-from server.graph.permissions import Role, display_name
+from server.graph.permissions import Node, Role, display_name
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -72,9 +71,6 @@ class Connection:
 
     def __init__(self, transport: Transport, gateway: Gateway) -> None:
         self._transport = transport
-        # Made when something has to wait: most clients hardly ever hear so much.
-        self._due: asyncio.Event | None = None
-        self._writer: asyncio.Task[None] | None = None
         self.address, port = transport.peer
         place = f"{self.address}:{port}"
         self._closing: asyncio.Task[None] | None = None
@@ -101,7 +97,7 @@ class Connection:
             send_at_once=transport.send_at_once,
         )
         self._client = Client(ClientContext(node, session, gateway, transport, self))
-        self._background = gateway.scheduling.background
+        self._background = gateway.turns.background
         self._max_message_bytes = transport.max_message_bytes
         self.limit_messages()
 
@@ -141,11 +137,6 @@ class Connection:
                 if timer is not None:
                     timer.cancel()
             self._transport.stop_delivery()
-            if self._writer is not None:
-                self._writer.cancel()
-                # It may have been waiting for a socket that broke.
-                with contextlib.suppress(asyncio.CancelledError, OSError):
-                    await self._writer
             self._client.leave()
             self._client.session.send_queue.close()
 
@@ -163,21 +154,8 @@ class Connection:
     def _fields(self) -> dict[str, str]:
         return {"client": str(self.node)}
 
-    async def _write(self, wake: asyncio.Event) -> None:
-        """Send the messages that the socket did not take at once, as it takes them."""
-        while self._transport.is_open:
-            await wake.wait()
-            wake.clear()
-            await self._transport.drain()
-            # What the socket had is no longer held.
-            self._flush()
-            if not self._send_later() and not self._transport.takes_more:
-                wake.set()
-            # What has been sent in this turn of the loop may only be written at its end.
-            await asyncio.sleep(0)
-
     def wake(self) -> None:
-        """Send the messages that are due, or wake the writer; disconnect a client that does not read its replies."""
+        """Send the messages that are due as the socket takes them; disconnect a client that reads no replies."""
         session = self._client.session
         for encoded in session.send_queue.take_unready():
             self._background.encode(encoded, self.wake)
@@ -187,19 +165,13 @@ class Connection:
         if self._send_later():
             return
         self._flush()
-        if session.send_queue.size_bytes and not self._send_later():
-            if self._due is None:
-                self._due = asyncio.Event()
-                self._writer = asyncio.create_task(self._write(self._due), name=f"write to {self.node}")
-            self._due.set()
-            if self._watch is None:
-                self._expect_reading(time.monotonic())
+        if session.send_queue.size_bytes and not self._send_later() and self._watch is None:
+            self._expect_reading(time.monotonic())
 
     def _send_later(self) -> bool:
         """Have all that waits sent at its time; False where some may leave now, or is still to be encoded.
 
-        By a timer, and not by the writer: throttled topics wait all the time, and a task that waits costs more than
-        the sending itself.
+        By a timer: throttled topics wait all the time, and a task that waits costs more than the sending itself.
         """
         now_s = time.monotonic()
         due_s = self._client.session.send_queue.next_due(now_s)

@@ -9,7 +9,7 @@ import logging
 import math
 from collections.abc import Callable, Collection, Mapping
 from http import HTTPStatus
-from typing import Any, Literal
+from typing import Any
 
 import orjson
 
@@ -20,8 +20,7 @@ from server.arrival import arrived_in
 from server.gateway.connection import goals_end_with_client
 from server.gateway.http import HttpResponse, PostedRequest
 from server.graph.actions import GoalStatus, Result
-from server.graph.node import Node
-from server.graph.permissions import Rule, display_name
+from server.graph.permissions import Node, display_name
 from server.graph.services import MAX_TIMEOUT_S, Response
 from server.graph.topics import Graph
 
@@ -107,31 +106,22 @@ class HttpGoals:
         authorizer: Authorizer,
         answer: Callable[[HttpResponse], None],
     ) -> None:
+        graph = self._graph
         if isinstance(operation, CallService):
             name = operation.service
-            self._check(authorizer, operation, rule_of_service(name, self._graph), "service", name)
-            services, end = self._graph.services, lambda response: answer(_of_response(response))
-            services.call(node, name, operation.args, end, MAX_TIMEOUT_S)
+            denied = authorizer.name_refusal(rule_of_service(name, graph), "service", name)
         else:
             name = operation.action
-            self._check(authorizer, operation, rule_of_action(name, self._graph), "action", name)
-            actions = self._graph.actions
-            actions.send_goal(node, name, GRIPPER_TYPE, operation.args, lambda result: answer(_of_result(result)))
-
-    def _check(
-        self,
-        authorizer: Authorizer,
-        operation: CallService | SendActionGoal,
-        rule: Rule,
-        kind: Literal["service", "action"],
-        name: str,
-    ) -> None:
-        denied = authorizer.name_refusal(rule, kind, name)
+            denied = authorizer.name_refusal(rule_of_action(name, graph), "action", name)
         if denied is not None:
             raise _RefusedError(denied, HTTPStatus.FORBIDDEN)
         refusal = authorizer.refusal(operation)
         if refusal is not None:
             raise _RefusedError(refusal, HTTPStatus.CONFLICT)
+        if isinstance(operation, CallService):
+            graph.services.call(node, name, operation.args, lambda end: answer(_of_response(end)), MAX_TIMEOUT_S)
+        else:
+            graph.actions.send_goal(node, name, GRIPPER_TYPE, operation.args, lambda end: answer(_of_result(end)))
 
     def _read(self, body: bytes) -> CallService | SendActionGoal:
         try:

@@ -29,7 +29,7 @@ log = logging.getLogger("armbridge.gateway")
 # Frames of this size and more are read by a thread: a thousand operations in a frame of 40 kB take 7 ms.
 LONG_FRAME_BYTES = 16_384
 
-# Operations in one client's inbox beyond which its socket is not read, as beyond `ClientScheduling.limit_bytes`. A stop
+# Operations in one client's inbox beyond which its socket is not read, as beyond `Turns.limit_bytes`. A stop
 # behind them waits for its turn.
 MAX_WAITING = 4_096
 
@@ -65,17 +65,13 @@ class Inbox:
         self.client = client
         self._session = context.session
         self._types = context.graph.message_types
-        self._scheduling = context.gateway.scheduling
-        self._turns = self._scheduling.turns
-        self._call_later = self._scheduling.call_later
+        self._turns = context.gateway.turns
         self._transport = context.transport
         self._clock = context.clock
         self._waiting: deque[Waiting] = deque()
         self._waiting_bytes = 0
-        # How many of them, and of those in progress, are frames that are still to be read.
-        self._unread_frames = 0
-        # What was the first, while a thread works on it.
-        self._in_progress: tuple[Waiting, ...] = ()
+        # True while a thread works on what was the first.
+        self._in_progress = False
         self._holds_reader = False
         # Set by a frame that waits; until when further ones are waited for.
         self._arrived = False
@@ -110,20 +106,13 @@ class Inbox:
         until_s = self._turns.until_s() if self.empty and not self._session.congested else None
         received = Waiting(frame, len(frame), STOP_EPOCHS.present if epoch is None else epoch)
         if len(frame) >= LONG_FRAME_BYTES:
-            if until_s is not None and isinstance(frame, str) and self.client.identified and is_light(frame):
-                received.light = True
-                self._begin(received, frame, until_s)
-            else:
-                self._add_frame(received, frame)
-        elif until_s is not None:
-            if not self._published(received):
-                self._begin(received, frame, until_s)
-        elif not self.client.identified or self._unread_frames or not _may_be_urgent(frame):
+            received.light = isinstance(frame, str) and self.client.identified and is_light(frame)
+            if not received.light:
+                until_s = None
+        if until_s is None:
             self._add_frame(received, frame)
-        else:
-            for each in _read_of(received, self.client.read(frame)):
-                if not self._take_ahead(each):
-                    self._add(each)
+        elif received.light or not self._published(received):
+            self._begin(received, frame, until_s)
 
     def work(self, until_s: float) -> bool:
         """Carry out what waits until a time; return True when there is more to do now."""
@@ -143,12 +132,12 @@ class Inbox:
 
     def _count(self, size_bytes: int) -> None:
         self._waiting_bytes += size_bytes
-        self._scheduling.waiting_bytes += size_bytes
+        self._turns.waiting_bytes += size_bytes
 
     def _hold_or_release(self) -> None:
         """Leave the client's socket unread while much waits."""
         count = len(self._waiting) + len(self._stops)
-        full = count > MAX_WAITING or self._waiting_bytes > self._scheduling.limit_bytes
+        full = count > MAX_WAITING or self._waiting_bytes > self._turns.limit_bytes
         if full and not self._holds_reader:
             self._transport.hold_reading()
         elif self._holds_reader and not full:
@@ -197,7 +186,6 @@ class Inbox:
             if ahead.repeated:
                 self._add(ahead)
                 return
-        self._unread_frames += 1
         self._add(received)
 
     # The lane for stops.
@@ -211,7 +199,7 @@ class Inbox:
         ahead = replace(waiting, size_bytes=0)
         if self._stops or self._clock() < self._next_stop_s:
             if not self._stops:
-                self._call_later(self._next_stop_s - self._clock(), self._work_off_stops)
+                self._turns.call_later(self._next_stop_s - self._clock(), self._work_off_stops)
             self._stops.append(ahead)
             self._hold_or_release()
         else:
@@ -230,7 +218,7 @@ class Inbox:
                 self._carry_out(stop, stop.item)
         self._next_stop_s = self._clock() + STOP_PERIOD_S
         if self._stops:
-            self._call_later(STOP_PERIOD_S, self._work_off_stops)
+            self._turns.call_later(STOP_PERIOD_S, self._work_off_stops)
         self._hold_or_release()
 
     def _take_step(self) -> None:
@@ -240,10 +228,8 @@ class Inbox:
         if isinstance(item, str | bytes):
             if len(item) >= LONG_FRAME_BYTES and self.client.identified:
                 self._run(lambda: self._session.receive_frame(item, self._clock()), first)
-            else:
-                self._unread_frames -= 1
-                if not self._published(first):
-                    self._put_first(_read_of(first, self.client.read(item)))
+            elif not self._published(first):
+                self._put_first(_read_of(first, self.client.read(item)))
         elif isinstance(item, Packed):
             self._run(lambda: [self._session.unpack(item)], first)
         elif first.repeated and isinstance(item, Operation):
@@ -274,7 +260,7 @@ class Inbox:
 
     def _run(self, job: Callable[[], Sequence[Operation | Refusal | Packed] | None], waiting: Waiting) -> None:
         """Have a thread work on what was the first; put it, or what was read of it, before all that waits."""
-        self._in_progress = (waiting,)
+        self._in_progress = True
 
         def attempt() -> Sequence[Operation | Refusal | Packed] | MemoryError | None:
             try:
@@ -284,7 +270,7 @@ class Inbox:
                 return MemoryError()
 
         def finish(result: Sequence[Operation | Refusal | Packed] | MemoryError | None, cost_s: float) -> None:
-            self._end_job(waiting)
+            self._in_progress = False
             self._next_job_s = self._clock() + cost_s
             if self._closed:
                 return
@@ -295,23 +281,18 @@ class Inbox:
                 self.resume()
 
         def give_up() -> None:
-            self._end_job(waiting)
+            self._in_progress = False
             self.resume()
 
         def begin() -> None:
             if not self._closed:
-                self._scheduling.background.run(attempt, finish, give_up)
+                self._turns.background.run(attempt, finish, give_up)
 
         wait_s = self._next_job_s - self._clock()
         if wait_s > 0:
-            self._call_later(wait_s, begin)
+            self._turns.call_later(wait_s, begin)
         else:
             begin()
-
-    def _end_job(self, waiting: Waiting) -> None:
-        self._in_progress = ()
-        if isinstance(waiting.item, str | bytes):
-            self._unread_frames -= 1
 
 
 def _may_be_urgent(frame: str | bytes) -> bool:

@@ -13,7 +13,7 @@ import ssl
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 from protocol.send_queue import SendBudget
 from robot.logs import LogLimiter
@@ -26,9 +26,9 @@ from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import TcpStream, Transport, keep_alive
-from server.gateway.turns import ClientScheduling, Threads, Turns
+from server.gateway.turns import Threads, Turns
 from server.gateway.websocket import WebSocket
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.timers import CallLater, call_later
 
@@ -159,17 +159,16 @@ class ClientList:
         self._change()
 
     def _change(self) -> None:
-        if self._pause is not None:
-            self._changed = True
-            return
-        self._publish()
-        self._pause = self._call_later(LIST_PERIOD_S, self._end_pause)
+        self._changed = True
+        if self._pause is None:
+            self._publish_change()
 
-    def _end_pause(self) -> None:
+    def _publish_change(self) -> None:
         self._pause = None
         if self._changed:
             self._changed = False
-            self._change()
+            self._publish()
+            self._pause = self._call_later(LIST_PERIOD_S, self._publish_change)
 
     def _publish(self) -> None:
         self._graph.publish(self._node, COUNT_TOPIC, {"data": len(self._clients)})
@@ -186,23 +185,15 @@ TLS_SHUTDOWN_TIMEOUT_S = 1.0
 # Connections that wait to be accepted; a flood of one client's must not keep another's out of the queue.
 BACKLOG = 1024
 
-# Port 0 takes a free one of the first address, which another program may have on the next.
-FREE_PORT_TRIES = 5
-
 # The address is not there on this machine: without IPv6, ``localhost`` is 127.0.0.1 alone.
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
+
+# Family and address to listen on, as `getaddrinfo` returns them.
+Place: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]
 
 # Files besides the clients': planners, the arm, recordings, the page, connections that are refused, and those whose
 # TLS handshake is not done. A server that may open few files keeps half of them for that.
 SPARE = 256
-
-
-class Place(NamedTuple):
-    """Address to listen on, as :func:`socket.socket` and ``bind`` take it."""
-
-    family: socket.AddressFamily
-    address: str
-    scope_id: int
 
 
 class Listener:
@@ -246,9 +237,7 @@ class Listener:
             graph,
             self._access,
             self.admission.auth_throttle,
-            ClientScheduling(
-                Turns(lambda call: asyncio.get_running_loop().call_soon(call), time.monotonic), self._threads
-            ),
+            Turns(lambda call: asyncio.get_running_loop().call_soon(call), time.monotonic, self._threads),
             SendBudget(settings.max_queued_bytes),
             settings.limits,
             settings.ros_version,
@@ -302,7 +291,7 @@ class Listener:
         Raises ConfigurationError for an address open to others, StartError for an address that cannot be taken.
         """
         places = await resolve(self._host, self._port)
-        addresses = [place.address for place in places]
+        addresses = [str(address[0]) for _, address in places]
         check_exposure(self._host, addresses, self._access.tokens, insecure=self._access.settings.insecure)
         self._sockets = listen(places, self._host, self._port)
         self._port = self._sockets[0].getsockname()[1]
@@ -318,11 +307,13 @@ class Listener:
         if possible < self._settings.max_clients:
             self._limiter.reduce(possible)
         self._clients.open()
-        for sockets, make_transport in ((self._sockets, self._make_websocket), (self._tcp_sockets, self._make_stream)):
-            for each in sockets:
-                self._servers.append(await self._serve_on(each, make_transport))
+        shared = self._settings, self._limiter, self._transports, self._serve_client
+        for each in self._sockets:
+            await self._serve_on(each, lambda: WebSocket(*shared, self.admission, self._http))
+        for each in self._tcp_sockets:
+            await self._serve_on(each, lambda: TcpStream(*shared, self._access.tokens.anonymous))
 
-    async def _serve_on(self, listening: socket.socket, make_transport: Callable[[], Transport]) -> asyncio.Server:
+    async def _serve_on(self, listening: socket.socket, make_transport: Callable[[], Transport]) -> None:
         # asyncio refuses the time limits of TLS without it.
         tls: dict[str, Any] = {}
         if self._tls is not None:
@@ -332,16 +323,7 @@ class Listener:
                 "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
             }
         loop = asyncio.get_running_loop()
-        return await loop.create_server(make_transport, sock=listening, backlog=BACKLOG, **tls)
-
-    def _make_websocket(self) -> Transport:
-        return WebSocket(
-            self._settings, self._limiter, self._transports, self._serve_client, self.admission, self._http
-        )
-
-    def _make_stream(self) -> Transport:
-        anonymous = self._access.tokens.anonymous
-        return TcpStream(self._settings, self._limiter, self._transports, self._serve_client, anonymous)
+        self._servers.append(await loop.create_server(make_transport, sock=listening, backlog=BACKLOG, **tls))
 
     def reload_certificate(self) -> None:
         if self._tls is None:
@@ -386,21 +368,15 @@ async def resolve(host: str, port: int) -> list[Place]:
     # UnicodeError: a name that no domain can have.
     except (OSError, UnicodeError) as error:
         raise StartError(_reason(host, port, error)) from error
-    places = [
-        Place(family, str(address[0]), int(address[3]) if len(address) > 3 else 0) for family, _, _, _, address in found
-    ]
-    return list(dict.fromkeys(places))
+    return list(dict.fromkeys((family, address) for family, _, _, _, address in found))
 
 
 def listen(places: Sequence[Place], host: str, port: int, option: str = "--port") -> list[socket.socket]:
     """Take a port, 0 for a free one, on every address of this machine, or raise StartError naming ``option``."""
-    for tries_left in reversed(range(FREE_PORT_TRIES)):
-        try:
-            return _listen_on_all(places, port)
-        except OSError as error:
-            if port or error.errno != errno.EADDRINUSE or not tries_left:
-                raise StartError(_reason(host, port, error, option)) from error
-    raise AssertionError("no try was the last")
+    try:
+        return _listen_on_all(places, port)
+    except OSError as error:
+        raise StartError(_reason(host, port, error, option)) from error
 
 
 def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
@@ -423,11 +399,10 @@ def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
 
 
 def _listen_on(place: Place, port: int, *, alone: bool) -> socket.socket:
-    is_ipv6 = place.family == socket.AF_INET6
-    address = (place.address, port, 0, place.scope_id) if is_ipv6 else (place.address, port)
+    family, (host, _, *scope) = place
     # Beside a socket for IPv4 it must leave that alone; by itself, ``::`` is for both.
-    dual = is_ipv6 and alone and socket.has_dualstack_ipv6()
-    made = socket.create_server(address, family=place.family, backlog=BACKLOG, dualstack_ipv6=dual)
+    dual = family == socket.AF_INET6 and alone and socket.has_dualstack_ipv6()
+    made = socket.create_server((host, port, *scope), family=family, backlog=BACKLOG, dualstack_ipv6=dual)
     # Connections have it from their listening socket: small messages are sent at once.
     made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     made.setblocking(False)

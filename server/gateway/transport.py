@@ -320,7 +320,7 @@ class Transport(asyncio.Protocol):
     @property
     def takes_more(self) -> bool:
         """True while the socket takes a message without waiting."""
-        return self.is_open and self._transport.get_write_buffer_size() + self._unsent_bytes <= WRITE_LIMIT_BYTES
+        return self.is_open and self._writable.is_set()
 
     @property
     def taken_bytes(self) -> int:
@@ -348,6 +348,8 @@ class Transport(asyncio.Protocol):
             asyncio.get_running_loop().call_soon(self._write_unsent)
         self._unsent += pieces
         self._unsent_bytes += size_bytes
+        if self._unsent_bytes + self._transport.get_write_buffer_size() > WRITE_LIMIT_BYTES:
+            self._write_unsent()
         return True
 
     def send_all(self, messages: Sequence[EncodedMessage]) -> None:
@@ -383,6 +385,8 @@ class Transport(asyncio.Protocol):
 
     def resume_writing(self) -> None:
         self._writable.set()
+        if self._client is not None:
+            self._client.wake()
 
     async def drain(self) -> None:
         await self._writable.wait()
@@ -462,7 +466,7 @@ class TcpStream(Transport):
             self._write_now((frame,))
             asyncio.get_running_loop().call_soon(self._write_next)
         elif not self._writing_paused:
-            self._writable.set()
+            super().resume_writing()
 
     def pause_writing(self) -> None:
         self._writing_paused = True

@@ -12,7 +12,6 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from protocol.errors import ProtocolError
@@ -32,19 +31,39 @@ ROUND_S = 0.001
 # lock behind each.
 THREADS = 2
 
+# Bounds of one client's inbox [bytes]: several of the largest trajectories that clients send. Beyond a total of all
+# inboxes, each client has only what a page sends when it opens.
+MAX_WAITING_BYTES = 16_000_000
+MAX_SERVER_WAITING_BYTES = 64_000_000
+LEAST_WAITING_BYTES = 262_144
+
 Done = TypeVar("Done")
 
 
 class Turns:
-    """Turns of all clients of a server."""
+    """Turns of all clients of a server, and the threads and the memory that they share."""
 
-    def __init__(self, call_soon: Callable[[Callable[[], object]], object], clock: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        call_soon: Callable[[Callable[[], object]], object],
+        clock: Callable[[], float],
+        background: Threads,
+        call_later: CallLater = call_later,
+    ) -> None:
         self.call_soon = call_soon
         self.clock = clock
+        self.background = background
+        self.call_later = call_later
+        self.waiting_bytes = 0
         # In order of their turns.
         self._waiting: dict[Inbox, None] = {}
         # Until when work that has just come may be done at once; None before any has come in this turn of the loop.
         self._round_ends_s: float | None = None
+
+    @property
+    def limit_bytes(self) -> int:
+        """Bytes that one client's inbox may have."""
+        return MAX_WAITING_BYTES if self.waiting_bytes <= MAX_SERVER_WAITING_BYTES else LEAST_WAITING_BYTES
 
     def add(self, inbox: Inbox) -> None:
         """Give a client a turn, behind those that wait already."""
@@ -136,24 +155,3 @@ def encode_or_log(encoded: EncodedMessage) -> None:
         encoded.encode()
     except ProtocolError as error:
         log.warning("a message is not delivered: %s", error)
-
-
-# Bounds of one client's inbox [bytes]: several of the largest trajectories that clients send. Beyond a total of all
-# inboxes, each client has only what a page sends when it opens.
-MAX_WAITING_BYTES = 16_000_000
-MAX_SERVER_WAITING_BYTES = 64_000_000
-LEAST_WAITING_BYTES = 262_144
-
-
-@dataclass
-class ClientScheduling:
-    """Turns, threads and memory, which all clients share."""
-
-    turns: Turns
-    background: Threads
-    call_later: CallLater = call_later
-    waiting_bytes: int = 0
-
-    @property
-    def limit_bytes(self) -> int:
-        return MAX_WAITING_BYTES if self.waiting_bytes <= MAX_SERVER_WAITING_BYTES else LEAST_WAITING_BYTES

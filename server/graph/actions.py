@@ -21,10 +21,8 @@ from protocol.operations import Mark
 from server.errors import GraphError
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
-from server.graph.node import Node
-from server.graph.permissions import Rule
+from server.graph.permissions import Node, Rule
 from server.graph.providers import PendingRequest, Provider, Providers
-from server.graph.services import CompleteResponse
 from server.timers import CallLater
 
 if TYPE_CHECKING:
@@ -78,10 +76,9 @@ class ActionGoal(PendingRequest[Result]):
         on_feedback: Callable[[dict[str, Any]], None] | None = None,
         goal_id: bytes | None = None,
     ) -> None:
-        super().__init__()
+        self.action, type_name = names
+        super().__init__(f"Action {self.action}", type_name, request, message_types)
         self.sender = sender
-        self.action, self.type_name = names
-        self.request = request
         self.goal_id = goal_id or uuid.uuid4().bytes
         # The action_msgs/GoalInfo, and the latest action_msgs/GoalStatus.
         uuid_of_goal = {"uuid": b64encode(self.goal_id).decode()}
@@ -89,7 +86,6 @@ class ActionGoal(PendingRequest[Result]):
         self.status: int = GoalStatus.EXECUTING
         self.sender_id: Mark = None
         self.sender_left = False
-        self._message_types = message_types
         self._on_feedback = on_feedback
         self._when_canceled: list[Callable[[], None]] = []
 
@@ -108,15 +104,7 @@ class ActionGoal(PendingRequest[Result]):
 
         Raises MessageError for values that do not fit: the goal has failed, and its sender knows.
         """
-        if isinstance(values, CompleteResponse):
-            self._end(Result(ok=True, status=status, values=values.message))
-            return
-        try:
-            completed = self._message_types.complete(f"{self.type_name}_Result", values)
-        except MessageError as error:
-            self.fail(f"Action {self.action} gave a result that does not fit {self.type_name}: {error}")
-            raise
-        self._end(Result(ok=True, status=status, values=completed))
+        self._end(Result(ok=True, status=status, values=self._completed("Result", values)))
 
     def fail(self, values: object, status: int = GoalStatus.ABORTED) -> None:
         """End the goal without a result message, with a sentence or with what the provider gave."""

@@ -9,7 +9,7 @@ from collections import Counter, OrderedDict, deque
 from typing import NamedTuple
 
 from protocol.publication import PublishedMessage
-from server.graph.node import Node
+from server.graph.permissions import Node
 
 # Maps and meshes are latched, and have megabytes: as much for the server as for all clients together, and at most half
 # of that for one of them, so that one alone does not shut the others out.
@@ -19,9 +19,6 @@ MAX_CLIENT_LATCHED_BYTES = MAX_CLIENTS_LATCHED_BYTES // 2
 
 # The last messages of many topics, or a picture; the oldest goes first.
 MAX_RECENT_BYTES = 4_194_304
-
-# How often it is looked for messages whose time is over [s].
-GIVE_UP_EVERY_S = 0.1
 
 # As many of one topic as rosbridge_server's subscribers take (QoS depth 10).
 MAX_RECENT_PER_TOPIC = 10
@@ -53,7 +50,6 @@ class LatchedMessages:
         # By topic, oldest first; the topics in order of their newest message, so that those in front have the oldest.
         self._recent: OrderedDict[str, deque[_Kept]] = OrderedDict()
         self._recent_bytes = 0
-        self._next_look_s = -math.inf
 
     def latch(self, published: PublishedMessage, client: Node | None = None) -> str | None:
         """Keep a message in place of the one latched before, or return the limit that it exceeds, as a sentence."""
@@ -113,8 +109,7 @@ class LatchedMessages:
         self._recent_bytes += size_bytes
         if len(recent) > MAX_RECENT_PER_TOPIC:
             self._recent_bytes -= recent.popleft().size_bytes
-        if self._recent_bytes > MAX_RECENT_BYTES or now >= self._next_look_s:
-            self._give_up_recent(now)
+        self._give_up_recent(now)
 
     def remember(self, published: PublishedMessage, depth: int) -> None:
         """Keep the last ``depth`` messages of a topic of the server."""
@@ -143,7 +138,6 @@ class LatchedMessages:
 
     def _give_up_recent(self, now: float) -> None:
         """Drop old messages; over the limit, the oldest message of the topic that has been quiet for longest."""
-        self._next_look_s = now + GIVE_UP_EVERY_S
         while self._recent:
             topic, recent = next(iter(self._recent.items()))
             if recent[0].until_s >= now and self._recent_bytes <= MAX_RECENT_BYTES:

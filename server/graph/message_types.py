@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from protocol import dialect, messages
@@ -26,31 +27,19 @@ ROS1_BYTES_AT_ONCE = 8_192
 FREE_VALUES = 20_000
 
 
+@dataclass(slots=True, eq=False)
 class ReceivedMessage:
     """Message as a client has sent it, until it is completed."""
 
-    __slots__ = (
-        "_completed",
-        "_type_name",
-        "are_arguments",
-        "checked",
-        "dialect",
-        "light",
-        "size_bytes",
-        "value",
-        "values",
-    )
-
-    def __init__(self, value: object, size_bytes: int, dialect: Dialect = "ros2", *, light: bool = False) -> None:
-        self.value = value
-        self.size_bytes = size_bytes
-        self.dialect = dialect
-        self.light = light  # True for a message that is completed and encoded quickly, however large it is
-        self.are_arguments = False  # True for a request or a goal, whose fields may come in order of declaration
-        self.checked = False  # True once its lists have been found to be within their limits
-        self.values = 0
-        self._type_name: str | None = None
-        self._completed: dict[str, Any] | MessageError | None = None
+    value: object
+    size_bytes: int
+    dialect: Dialect = "ros2"
+    light: bool = False  # True for a message that is completed and encoded quickly, however large it is
+    are_arguments: bool = False  # True for a request or a goal, whose fields may come in order of declaration
+    checked: bool = False  # True once its lists have been found to be within their limits
+    values: int = 0
+    _type_name: str | None = None
+    _completed: dict[str, Any] | MessageError | None = None
 
     @property
     def cost_bytes(self) -> int:

@@ -1,8 +1,8 @@
-"""Roles of clients, their identities, the rules of names, and the filters of names that hold for all clients."""
+"""Nodes of the graph with their roles, the rules of names, and the filters of names that hold for all clients."""
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from fnmatch import translate
 
@@ -34,6 +34,25 @@ class Identity:
 
 # Every client of a server without tokens.
 ANYONE = Identity("", Role.ADMIN)
+
+
+@dataclass(eq=False, repr=False)
+class Node:
+    """Participant in the graph: a client (``remote``), or a part of the server, whose names no client may take."""
+
+    name: str
+    remote: bool = field(default=False, kw_only=True)
+    takes_goals_along: bool = field(default=False, kw_only=True)  # True to cancel its goals when it leaves
+    identity: Identity | None = field(default=ANYONE, kw_only=True)  # None until a client has authenticated
+    address: str = field(default="", kw_only=True)
+
+    @property
+    def is_viewer(self) -> bool:
+        """True for a client that moves and changes nothing by itself, and for a client without an identity yet."""
+        return self.identity is None or self.identity.role < Role.OPERATE
+
+    def __repr__(self) -> str:
+        return self.name
 
 
 def display_name(identity: Identity | None, address: str) -> str:

@@ -4,18 +4,17 @@ A request is ended once, by its provider, its deadline or its caller's departure
 """
 
 import logging
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
-from protocol.errors import InterfaceError
+from protocol.errors import InterfaceError, MessageError
 from protocol.registry import Kind
 from server.errors import GraphError
 from server.graph.index import Index, TypedNames
 from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
-from server.graph.node import Node
-from server.graph.permissions import Rule
+from server.graph.permissions import Node, Rule
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
@@ -23,11 +22,19 @@ log = logging.getLogger("armbridge.graph")
 End = TypeVar("End")
 
 
-class PendingRequest(Generic[End]):
-    """Base of calls and goals on their way."""
+@dataclass(frozen=True)
+class CompleteResponse:
+    """A large response, or result of an action, that is complete and valid already; nobody may change it any more."""
 
-    def __init__(self) -> None:
-        self.ended = False
+    message: Mapping[str, Any]
+
+
+class PendingRequest(Generic[End]):
+    """Base of calls and goals on their way; the title says what was asked for, as ``Service /name``."""
+
+    def __init__(self, title: str, type_name: str, request: dict[str, Any], message_types: MessageTypes) -> None:
+        self.type_name, self.request, self.ended = type_name, request, False
+        self._title, self._message_types = title, message_types
         self._when_ended: list[Callable[[End], object]] = []
 
     def when_ended(self, callback: Callable[[End], object]) -> None:
@@ -37,6 +44,16 @@ class PendingRequest(Generic[End]):
     def fail(self, values: object) -> None:
         """End the request with a sentence, or with what the provider gave."""
         raise NotImplementedError
+
+    def _completed(self, part: str, values: object) -> Any:
+        """Complete the provider's response or result; raise MessageError if it does not fit, and the request fails."""
+        if isinstance(values, CompleteResponse):
+            return values.message
+        try:
+            return self._message_types.complete(f"{self.type_name}_{part}", values)
+        except MessageError as error:
+            self.fail(f"{self._title} gave a {part.lower()} that does not fit {self.type_name}: {error}")
+            raise
 
     def _end(self, end: End) -> None:
         if self.ended:

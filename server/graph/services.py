@@ -17,19 +17,11 @@ from robot.errors import RobotError
 from server.errors import RefusedError, ServerError, ServiceError, UnsuccessfulError
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
-from server.graph.node import Node
-from server.graph.permissions import Rule
-from server.graph.providers import PendingRequest, Providers
+from server.graph.permissions import Node, Rule
+from server.graph.providers import CompleteResponse, PendingRequest, Providers
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
-
-
-@dataclass(frozen=True)
-class CompleteResponse:
-    """A large response, or result of an action, that is complete and valid already; nobody may change it any more."""
-
-    message: Mapping[str, Any]
 
 
 # Fields of a response message; any of them may be left out.
@@ -60,29 +52,16 @@ class Call(PendingRequest[Response]):
         caller: Node,
         dialect: Dialect = "ros2",
     ) -> None:
-        super().__init__()
-        self.service = service
-        self.type_name = type_name
-        self.request = request
-        self.caller = caller
-        self.dialect = dialect
+        super().__init__(f"Service {service}", type_name, request, message_types)
+        self.service, self.caller, self.dialect = service, caller, dialect
         self.caller_left = False
-        self._message_types = message_types
 
     def succeed(self, values: object, reason: str = "") -> None:
         """Answer with a response message; what it leaves out gets its default, unless it is a `CompleteResponse`.
 
         Raises MessageError for values that do not fit: the call has failed, and its caller knows.
         """
-        if isinstance(values, CompleteResponse):
-            self._end(Response(ok=True, values=values.message, reason=reason))
-            return
-        try:
-            completed = self._message_types.complete(f"{self.type_name}_Response", values)
-        except MessageError as error:
-            self.fail(f"Service {self.service} gave a response that does not fit {self.type_name}: {error}")
-            raise
-        self._end(Response(ok=True, values=completed, reason=reason))
+        self._end(Response(ok=True, values=self._completed("Response", values), reason=reason))
 
     def fail(self, values: object) -> None:
         """Answer that it failed, with a sentence or with what the provider gave."""

@@ -1,4 +1,4 @@
-"""Topics of the graph, latched messages included; services and actions stand beside them.
+"""Topics of the graph and its local parts, latched messages included; services and actions stand beside them.
 
 Local parts and remote clients use a topic alike. Every message is complete and valid against the topic's type. The
 first to name a type for a topic decides it, for as long as anyone publishes or subscribes there, and a little longer.
@@ -7,12 +7,14 @@ rosbridge_server publishes with transient-local durability: with ``latch`` the l
 publisher lives, without it every message for a second (rosbridge_library, internal/publishers.py).
 """
 
+from __future__ import annotations
+
 import difflib
 import logging
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 from protocol.errors import InterfaceError, MessageError
@@ -22,14 +24,13 @@ from protocol.registry import Registry
 from protocol.strict_messages import PublicationReader
 from robot.logs import LogLimiter
 from server.errors import GraphError
-from server.graph.actions import Actions
+from server.graph.actions import MAX_GOAL_S, ActionGoal, Actions
 from server.graph.index import Index, TypedNames
 from server.graph.latching import LatchedMessages
-from server.graph.list_limits import CheckLists
+from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes, ReceivedMessage
-from server.graph.node import Node
-from server.graph.permissions import Rule
-from server.graph.services import Services
+from server.graph.permissions import Node, Rule
+from server.graph.services import DEFAULT_LIMITS, LOCAL_TIMEOUT_S, Call, ServiceFunction, Services, answer
 from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.graph")
@@ -134,6 +135,10 @@ class Graph:
         self.rules: dict[str, Rule] = {}  # rules of publishing on the topics that local parts subscribe to, by name
         self.remarks: Mapping[str, str] = {}  # sentences for the clients that publish on a topic, by name
         self.revision = 0  # number of changes in who publishes, latches or subscribes to which topic
+
+    def node(self, name: str) -> LocalNode:
+        """Return a new part of the server in the graph."""
+        return LocalNode(self, name)
 
     def remark(self, remarks: Mapping[str, str]) -> None:
         """Have clients that publish on these topics, and on no others, get the sentences as warnings."""
@@ -438,3 +443,103 @@ class Graph:
         if not topic.used:
             self.topic_names.remove(topic.name)
             self._unused[topic.name] = topic
+
+
+class LocalNode(Node):
+    """Part of the server in the graph; its names stand below the prefix of one of several arms, or below none."""
+
+    def __init__(self, graph: Graph, name: str, prefix: str = "") -> None:
+        super().__init__(name)
+        self._graph, self._prefix = graph, prefix
+        self.message_types = graph.message_types
+
+    def resolve(self, name: str) -> str:
+        return f"{self._prefix}{name}"
+
+    def advertise(self, topic: str, type_name: str, *, latch: bool = False, depth: int = 0) -> None:
+        self._graph.advertise(self, self.resolve(topic), type_name, latch=latch, depth=depth)
+
+    def unadvertise(self, topic: str) -> None:
+        self._graph.unadvertise(self, self.resolve(topic))
+
+    def publish(self, topic: str, message: object, *, latch: bool = False, prevalidated: bool = False) -> None:
+        self._graph.publish(self, self.resolve(topic), message, latch=latch, prevalidated=prevalidated)
+
+    def tell(self, node: Node, topic: str, message: object) -> None:
+        self._graph.tell(node, self.resolve(topic), message)
+
+    def subscribe(
+        self,
+        topic: str,
+        type_name: str,
+        deliver: Callable[[PublishedMessage], None],
+        on_invalid: Callable[[MessageError], None] | None = None,
+        on_unauthorized: Callable[[Mapping[str, Any], Node, str], None] | None = None,
+        *,
+        limits: ListLimits | None = None,
+        rule: Rule | None = None,
+    ) -> None:
+        """Take the messages of a topic; arguments as for `Subscriber`."""
+        types = self.message_types
+        check = None if limits is None else limits.check(types.registry, types.canonical(type_name, "msg"))
+        below = None if rule is None else self._below(rule)
+        subscriber = Subscriber(deliver, on_invalid, on_unauthorized, check, below)
+        self._graph.subscribe(self, self.resolve(topic), type_name, subscriber)
+
+    def unsubscribe(self, topic: str) -> None:
+        self._graph.unsubscribe(self, self.resolve(topic))
+
+    def publishers(self, topic: str) -> list[Node]:
+        return self._graph.publishers(self.resolve(topic))
+
+    def subscribers(self, topic: str) -> list[Node]:
+        return self._graph.subscribers(self.resolve(topic))
+
+    def offer(
+        self, name: str, type_name: str, function: ServiceFunction, limits: ListLimits = DEFAULT_LIMITS, *, rule: Rule
+    ) -> None:
+        self.offer_calls(name, type_name, lambda call: answer(call, function), LOCAL_TIMEOUT_S, limits, rule=rule)
+
+    def offer_calls(
+        self,
+        name: str,
+        type_name: str,
+        start: Callable[[Call], None],
+        timeout_s: float = LOCAL_TIMEOUT_S,
+        limits: ListLimits = DEFAULT_LIMITS,
+        *,
+        rule: Rule,
+    ) -> None:
+        """Offer a service that answers its calls itself, within a time [s]."""
+        resolved, below = self.resolve(name), self._below(rule)
+        self._graph.services.offer_calls(self, resolved, type_name, start, timeout_s, limits, rule=below)
+
+    def offer_action(
+        self,
+        name: str,
+        type_name: str,
+        start: Callable[[ActionGoal], None],
+        limits: ListLimits | None = None,
+        *,
+        rule: Rule,
+        max_goal_s: float = MAX_GOAL_S,
+    ) -> None:
+        resolved, below = self.resolve(name), self._below(rule)
+        self._graph.actions.offer(self, resolved, type_name, start, limits, rule=below, max_goal_s=max_goal_s)
+
+    def _below(self, rule: Rule) -> Rule:
+        return replace(rule, arm=self._prefix.removeprefix("/"))
+
+
+@dataclass(frozen=True)
+class LocalGraph:
+    """The graph below the name of one of several arms; below none for an only arm, and for all arms together."""
+
+    graph: Graph
+    namespace: str = ""
+
+    def node(self, name: str) -> LocalNode:
+        return LocalNode(self.graph, name, self.resolve(""))
+
+    def resolve(self, name: str) -> str:
+        return f"/{self.namespace}{name}" if self.namespace else name

@@ -6,20 +6,18 @@ the joints.
 
 import asyncio
 import dataclasses
-import itertools
-import json
 import logging
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
-from enum import Enum
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from robot.messages import ArmHealth, ArmState, Mode
@@ -142,8 +140,9 @@ class FaultFiles:
 
         # In a thread, as it takes some milliseconds.
         def content(_stem: str) -> bytes:
-            lines = map(_plain, itertools.chain(head, map(_state_line, samples)))
-            return "".join(f"{json.dumps(line, allow_nan=False)}\n" for line in lines).encode()
+            # A number that is none, or infinite, is null.
+            options = orjson.OPT_APPEND_NEWLINE | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
+            return b"".join(orjson.dumps(line, option=options) for line in (*head, *map(_state_line, samples)))
 
         try:
             self.latest = await asyncio.wait_for(asyncio.to_thread(series.add, name, content), WRITING_TIMEOUT_S)
@@ -177,20 +176,3 @@ def _state_line(sample: Sample) -> dict[str, Any]:
     at_s, values = sample
     quantities = zip(_QUANTITIES, values.round(4).tolist(), strict=True)
     return {"kind": "state", "time_s": round(at_s, 3), **dict(quantities)}
-
-
-def _plain(value: Any) -> Any:
-    """Return a value as JSON has it; None for a number that is none, or infinite."""
-    match value:
-        case Enum():
-            return value.value
-        case np.ndarray():
-            return _plain(value.tolist())
-        case Mapping():
-            return {key: _plain(each) for key, each in value.items()}
-        case list() | tuple():
-            return [_plain(each) for each in value]
-        case float():
-            return value if math.isfinite(value) else None
-        case _:
-            return value

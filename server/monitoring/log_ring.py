@@ -7,7 +7,6 @@ from datetime import UTC, datetime
 from typing import Any
 
 from robot.logs import LineHandler, LogLine
-from server.graph.node import Node
 from server.graph.permissions import CONFIGURING
 from server.graph.topics import Graph
 
@@ -53,7 +52,7 @@ class LogRing:
             return {"success": True, "message": "\n".join(map(shown, self.since(0.0)))}
 
         # Lines name addresses and files.
-        graph.services.offer(Node("log"), SERVICE, "std_srvs/Trigger", serve, rule=CONFIGURING)
+        graph.node("log").offer(SERVICE, "std_srvs/Trigger", serve, rule=CONFIGURING)
 
 
 def shown(line: LogLine) -> str:

@@ -38,11 +38,8 @@ CHECK_PERIOD_S = 1.0
 # Resident memory above that after the start from which on a trim is worth while.
 EXCESS_BYTES = 16 << 20
 
-# A trim takes 0.2 ms a megabyte that it gives back, and until it is done nobody else gets memory. After a trim with
-# less than this gain, the next comes later, and ever later.
-GAIN_BYTES = 1 << 20
-FIRST_TRIM_S = 5.0
-LONGEST_TRIM_S = 300.0
+# A trim takes 0.2 ms a megabyte that it gives back, and until it is done nobody else gets memory.
+TRIM_PERIOD_S = 60.0
 
 # Memory that grows by more between two checks is in use.
 SETTLED_BYTES = 4 << 20
@@ -128,7 +125,6 @@ class MemoryKeeper:
         self._trim = trim
         self._lowest_bytes = sys.maxsize
         self._latest_bytes = 0
-        self._wait_s = FIRST_TRIM_S
         self._next_trim_s = 0.0
         self._next_collection_s = 0.0
 
@@ -151,10 +147,7 @@ class MemoryKeeper:
             self._next_collection_s = now_s + FULL_COLLECTION_PERIOD_S
             self._collector.collect_all()
         if resident - self._lowest_bytes >= EXCESS_BYTES and now_s >= self._next_trim_s:
+            self._next_trim_s = now_s + TRIM_PERIOD_S
             await asyncio.to_thread(self._trim)
             self._latest_bytes = self._read_bytes()
-            gain = resident - self._latest_bytes
-            self._wait_s = FIRST_TRIM_S if gain >= GAIN_BYTES else min(2.0 * self._wait_s, LONGEST_TRIM_S)
-            self._next_trim_s = now_s + self._wait_s
-            if gain >= GAIN_BYTES:
-                log.debug("%.0f MB of memory given back", gain / 1e6)
+            log.debug("%.0f MB of memory given back", (resident - self._latest_bytes) / 1e6)

@@ -78,8 +78,6 @@ class GoalCounters(Collector):
     def count(self, source: str, answer: Answer) -> None:
         self._answered.labels(source, answer.code.name).inc()
         performed = answer.performed
-        if performed is None:
-            return
         if performed.planning_time_s > 0.0:
             self._planning_s.observe(performed.planning_time_s)
         if performed.executed is not None:

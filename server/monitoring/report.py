@@ -20,6 +20,7 @@ from serial.tools import list_ports
 from websockets.sync.client import ClientConnection, connect
 
 from robot.logs import without_secrets
+from server.calling_client import CallingClient
 from server.config import Settings
 from server.monitoring.fault_files import PREFIX
 from server.monitoring.log_ring import SERVICE as LOG
@@ -256,13 +257,24 @@ class RunningServer:
         report.add_json("server/health.json", self.health)
         with report.part("server/metrics.txt"):
             report.add("server/metrics.txt", self._get("metrics", self._headers))
-        heard: dict[str, Any] = {}
-        with report.part("server/diagnostics.json"), self._connected() as client:
-            heard = self._ask(client, report)
-            report.add_json("server/servo_history.json", _histories(client, heard.get("diagnostics", {})))
-        for name, message in heard.items():
-            report.add_json(f"server/{name}.json", message)
-        values = [each for status in heard.get("diagnostics", {}).get("status", ()) for each in status["values"]]
+        statuses: list[dict[str, Any]] = []
+        with report.part("server/diagnostics.json"), self._connected() as websocket:
+            client, until_s = CallingClient(websocket), time.monotonic() + DIAGNOSTICS_TIMEOUT_S
+            for topic, (_, type_name) in _TOPICS.items():
+                client.subscribe(topic, type_name)
+            with report.part("server/log.txt"):
+                report.add("server/log.txt", client.call(LOG, {})["message"] + "\n")
+            while len(client.messages) < len(_TOPICS) and (left_s := until_s - time.monotonic()) > 0.0:
+                client.receive(left_s)
+            for topic, message in client.messages.items():
+                report.add_json(f"server/{_TOPICS[topic][0]}.json", message)
+            if silent := _TOPICS.keys() - client.messages.keys():
+                report.note(f"server: {', '.join(sorted(silent))} not heard in {DIAGNOSTICS_TIMEOUT_S:g} s")
+            statuses = client.messages.get("/diagnostics", {}).get("status", [])
+            joints = [each["name"].removeprefix(JOINT_PREFIX) for each in statuses[1:]]
+            histories = {joint: client.call(HISTORY, {"joint": joint}) for joint in joints}
+            report.add_json("server/servo_history.json", histories)
+        values = [each for status in statuses for each in status["values"]]
         return {Path(each["value"]).parent for each in values if each["key"] == "fault_file"}
 
     def _health(self) -> Any:
@@ -293,44 +305,3 @@ class RunningServer:
             proxy=None,
             max_size=MAX_ANSWER_BYTES,
         )
-
-    def _ask(self, client: ClientConnection, report: Report) -> dict[str, Any]:
-        for topic, (_, type_name) in _TOPICS.items():
-            client.send(json.dumps({"op": "subscribe", "topic": topic, "type": type_name}))
-        client.send(json.dumps({"op": "call_service", "service": LOG, "id": "log"}))
-        heard: dict[str, Any] = {}
-        answered = False
-        for operation in _operations(client):
-            if operation["op"] == "publish":
-                heard[_TOPICS[operation["topic"]][0]] = operation["msg"]
-            elif operation["op"] == "service_response":
-                answered = True
-                if operation["result"]:
-                    report.add("server/log.txt", operation["values"]["message"] + "\n")
-                else:
-                    report.note(f"server: its log is not returned: {operation['values']}")
-            if answered and len(heard) == len(_TOPICS):
-                return heard
-        report.note(f"server: {', '.join(_TOPICS)} and its log were not all heard in {DIAGNOSTICS_TIMEOUT_S:g} s")
-        return heard
-
-
-def _histories(client: ClientConnection, diagnostics: dict[str, Any]) -> dict[str, Any]:
-    """Ask for the history of every servo on ``/diagnostics``, by joint; those that are not answered are missing."""
-    histories: dict[str, Any] = {}
-    joints = [each["name"].removeprefix(JOINT_PREFIX) for each in diagnostics.get("status", ())[1:]]
-    for joint in joints:
-        client.send(json.dumps({"op": "call_service", "service": HISTORY, "id": joint, "args": {"joint": joint}}))
-    for operation in _operations(client) if joints else ():
-        if operation["op"] == "service_response":
-            histories[operation["id"]] = operation["values"]
-        if len(histories) == len(joints):
-            break
-    return histories
-
-
-def _operations(client: ClientConnection) -> Iterator[dict[str, Any]]:
-    until_s = time.monotonic() + DIAGNOSTICS_TIMEOUT_S
-    with contextlib.suppress(TimeoutError):
-        while (left_s := until_s - time.monotonic()) > 0.0:
-            yield json.loads(client.recv(timeout=left_s))

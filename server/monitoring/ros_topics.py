@@ -22,7 +22,6 @@ from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.topics import status
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
 from server.graph.list_limits import ListLimits
-from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING
 from server.graph.topics import Graph
 
@@ -63,36 +62,20 @@ class Diagnostics:
         fault_file: Callable[[], Path | None],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._graph = graph
         self._robot_name = robot_name
         self._fault_file = fault_file
-        self._node = Node("diagnostics")
+        self._node = graph.node("diagnostics")
         self._clock = clock
         self._state: ArmState | None = None
         self._state_at_s = 0.0
         self._health: ArmHealth | None = None
-        graph.advertise(self._node, TOPIC, "diagnostic_msgs/DiagnosticArray")
+        self._node.advertise(TOPIC, "diagnostic_msgs/DiagnosticArray")
 
     async def run(self) -> None:
         """Publish regularly from the first state on, until cancelled."""
         while True:
             await asyncio.sleep(PERIOD_S)
-            if self._state is not None:
-                self.publish(self._state)
-
-    def publish(self, state: ArmState) -> None:
-        now_s, health = self._clock(), self._health
-        health_age_s = 0.0 if health is None else now_s - health.monotonic_s
-        message = diagnostic_array(
-            state,
-            health,
-            self._graph.message_types.wall_clock(),
-            self._robot_name,
-            now_s - self._state_at_s,
-            health_age_s,
-            self._fault_file(),
-        )
-        self._graph.publish(self._node, TOPIC, message)
+            self.publish()
 
     def take_state(self, state: ArmState) -> None:
         self._state, self._state_at_s = state, self._clock()
@@ -100,33 +83,29 @@ class Diagnostics:
     def take_health(self, health: ArmHealth) -> None:
         self._health = health
 
-
-def diagnostic_array(
-    state: ArmState,
-    health: ArmHealth | None,
-    stamp_s: float,
-    robot_name: str,
-    state_age_s: float,
-    health_age_s: float,
-    fault_file: Path | None = None,
-) -> dict[str, Any]:
-    """Return the diagnostic_msgs/DiagnosticArray: the arm first, then its servos."""
-    arm = status(state, robot_name)
-    if fault_file is not None:
-        arm["values"] += key_values({"fault_file": str(fault_file)})
-    if state_age_s > STALE_AFTER_S:
-        arm |= {"level": LEVEL_STALE, "message": f"the last state of the arm is {state_age_s:.1f} s old"}
-    statuses = [arm]
-    if health is not None:
-        stale = state.mode is Mode.DISCONNECTED or health_age_s * min(health.real_time_factor, 1.0) > STALE_AFTER_S
-        arm["values"] += key_values(_arm_values(health))
-        if health.real_time_factor < SLOW_FACTOR * health.rate and arm["level"] == LEVEL_OK:
-            wanted = "" if health.rate == 1.0 else f", not {health.rate:.0%}"
-            share = f"{health.real_time_factor:.0%} of real time{wanted}"
-            arm |= {"level": LEVEL_WARN, "message": f"{arm['message']}, at {share}: this machine is busy"}
-        statuses += [_joint_status(joint, health, state.fault, stale=stale) for joint in health.joints]
-        arm["level"] = max(arm["level"], *(min(each["level"], LEVEL_WARN) for each in statuses))
-    return {"header": {"stamp": Stamp.from_seconds(stamp_s).as_message(), "frame_id": ""}, "status": statuses}
+    def publish(self) -> None:
+        """Publish the arm first, then its servos; nothing before the first state."""
+        state, health, now_s = self._state, self._health, self._clock()
+        if state is None:
+            return
+        arm, state_age_s, fault_file = status(state, self._robot_name), now_s - self._state_at_s, self._fault_file()
+        if fault_file is not None:
+            arm["values"] += key_values({"fault_file": str(fault_file)})
+        if state_age_s > STALE_AFTER_S:
+            arm |= {"level": LEVEL_STALE, "message": f"the last state of the arm is {state_age_s:.1f} s old"}
+        statuses = [arm]
+        if health is not None:
+            age_s = (now_s - health.monotonic_s) * min(health.real_time_factor, 1.0)
+            stale = state.mode is Mode.DISCONNECTED or age_s > STALE_AFTER_S
+            arm["values"] += key_values(_arm_values(health))
+            if health.real_time_factor < SLOW_FACTOR * health.rate and arm["level"] == LEVEL_OK:
+                wanted = "" if health.rate == 1.0 else f", not {health.rate:.0%}"
+                share = f"{health.real_time_factor:.0%} of real time{wanted}"
+                arm |= {"level": LEVEL_WARN, "message": f"{arm['message']}, at {share}: this machine is busy"}
+            statuses += [_joint_status(joint, health, state.fault, stale=stale) for joint in health.joints]
+            arm["level"] = max(arm["level"], *(min(each["level"], LEVEL_WARN) for each in statuses))
+        stamp = self._node.message_types.now().as_message()
+        self._node.publish(TOPIC, {"header": {"stamp": stamp, "frame_id": ""}, "status": statuses})
 
 
 def _arm_values(health: ArmHealth) -> dict[str, str]:
@@ -249,11 +228,10 @@ class Rosout(logging.Handler):
 
     def __init__(self, graph: Graph, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__()
-        self._graph = graph
         self._loop = loop
-        self._node = Node("rosout")
+        self._node = graph.node("rosout")
         self._waiting = 0
-        graph.advertise(self._node, ROSOUT_TOPIC, "rcl_interfaces/msg/Log", depth=LOG_DEPTH)
+        self._node.advertise(ROSOUT_TOPIC, "rcl_interfaces/msg/Log", depth=LOG_DEPTH)
         logging.getLogger(OUR_LOGGER).addHandler(self)
 
     def close(self) -> None:
@@ -269,7 +247,7 @@ class Rosout(logging.Handler):
 
     def _publish(self, message: dict[str, Any]) -> None:
         self._waiting -= 1
-        self._graph.publish(self._node, ROSOUT_TOPIC, message)
+        self._node.publish(ROSOUT_TOPIC, message)
 
 
 def log_message(record: logging.LogRecord) -> dict[str, Any]:
@@ -287,14 +265,10 @@ def log_message(record: logging.LogRecord) -> dict[str, Any]:
 
 def offer_level_services(graph: Graph) -> None:
     """Offer the services that get and set the levels of loggers."""
-    node = Node(OUR_LOGGER)
+    node = graph.node(OUR_LOGGER)
     getting, setting = "rcl_interfaces/srv/GetLoggerLevels", "rcl_interfaces/srv/SetLoggerLevels"
-    graph.services.offer(
-        node, GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"), rule=LOOKING
-    )
-    graph.services.offer(
-        node, SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"), rule=CONFIGURING
-    )
+    node.offer(GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"), rule=LOOKING)
+    node.offer(SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"), rule=CONFIGURING)
 
 
 def _limits(field: str) -> ListLimits:

@@ -13,7 +13,6 @@ import numpy as np
 
 from robot.faults import ServoAlert
 from robot.messages import ArmHealth, ArmState, Mode
-from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
 
@@ -52,7 +51,7 @@ class ServoHistory:
         # Warnings of each joint by alert and register, and its errors.
         self._warnings: dict[str, Mapping[tuple[ServoAlert, str], str]] = {}
         self._errors: dict[str, Mapping[str, int]] = {}
-        graph.services.offer(Node("servo history"), SERVICE, SERVICE_TYPE, self._serve, rule=LOOKING)
+        graph.node("servo history").offer(SERVICE, SERVICE_TYPE, self._serve, rule=LOOKING)
 
     def take_state(self, state: ArmState) -> None:
         before, self._state = self._state, state
@@ -93,7 +92,8 @@ class ServoHistory:
     def _serve(self, request: dict[str, Any]) -> dict[str, Any]:
         joint = request["joint"]
         if joint not in self._samples:
-            return _response(message=self._refusal(joint))
+            known = f"joint: must be one of {', '.join(self._samples)}, not {joint[:80]!r}"
+            return {"message": known if self._samples else "the arm has not reported on its servos yet"}
         now_s = self._clock()
         samples = [each for each in self._samples[joint] if each[0] >= now_s - WINDOW_S]
         at_s, *values = np.array(samples).reshape(len(samples), 1 + len(QUANTITIES)).T
@@ -107,14 +107,4 @@ class ServoHistory:
             for event in self._events
             if event.joint in ("", joint) and now_s - event.at_s <= WINDOW_S
         ]
-        return _response(**columns, time_s=(at_s - now_s).round(3).tolist(), events=events, success=True)
-
-    def _refusal(self, joint: str) -> str:
-        if not self._samples:
-            return "the arm has not reported on its servos yet"
-        return f"joint: must be one of {', '.join(self._samples)}, not {joint[:80]!r}"
-
-
-def _response(**fields: Any) -> dict[str, Any]:
-    lists: dict[str, Any] = {name: [] for name in ("time_s", *QUANTITIES, "events")}
-    return {**lists, "success": False, "message": "", **fields}
+        return {**columns, "time_s": (at_s - now_s).round(3).tolist(), "events": events, "success": True}

@@ -9,7 +9,6 @@ from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.execution.monitors import state_message
 from server.execution.motions import Performed
-from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.messages import Message
 from server.moveit.trajectories import is_long, to_message, to_messages
@@ -37,14 +36,13 @@ class DisplayTopics:
     """Topics of planned motions, contacts and the pipeline's state."""
 
     def __init__(self, graph: Graph, robot: RobotModel) -> None:
-        self._graph = graph
         self._robot = robot
-        self._node = Node("display")
+        self._node = graph.node("display")
         # A long motion that is still to be shown, unless another comes first.
         self._writing: asyncio.Task[None] | None = None
-        self._graph.advertise(self._node, PATH_TOPIC, "moveit_msgs/DisplayTrajectory", latch=True)
-        self._graph.advertise(self._node, CONTACTS_TOPIC, "visualization_msgs/MarkerArray")
-        self._graph.advertise(self._node, PIPELINE_TOPIC, "moveit_msgs/PipelineState")
+        self._node.advertise(PATH_TOPIC, "moveit_msgs/DisplayTrajectory", latch=True)
+        self._node.advertise(CONTACTS_TOPIC, "visualization_msgs/MarkerArray")
+        self._node.advertise(PIPELINE_TOPIC, "moveit_msgs/PipelineState")
 
     def performed(self, performed: Performed) -> None:
         """Show motions that are about to be executed, one after the other."""
@@ -63,7 +61,7 @@ class DisplayTopics:
         """Show planned motions, one after the other, that are written already."""
         self._stop_writing()
         message = {"model_id": self._robot.name, "trajectory": list(trajectories), "trajectory_start": start}
-        self._graph.publish(self._node, PATH_TOPIC, message, prevalidated=True)
+        self._node.publish(PATH_TOPIC, message, prevalidated=True)
 
     def _stop_writing(self) -> None:
         if self._writing is not None:
@@ -71,9 +69,9 @@ class DisplayTopics:
 
     def pipeline(self, request: Message, response: Message) -> None:
         """Publish a request to the planners and its response, if there are subscribers."""
-        if self._graph.subscribers(PIPELINE_TOPIC):
+        if self._node.subscribers(PIPELINE_TOPIC):
             state = {"request": request, "response": response, "pipeline_stage": PIPELINE_STAGE}
-            self._graph.publish(self._node, PIPELINE_TOPIC, state)
+            self._node.publish(PIPELINE_TOPIC, state)
 
     def contacts_of(self, details: Mapping[str, Any]) -> None:
         """Show the contacts in the details of a failure; do nothing when there are none."""
@@ -85,7 +83,7 @@ class DisplayTopics:
         header = {"stamp": Stamp(0, 0).as_message(), "frame_id": self._robot.root_link}
         clear = {"header": header, "ns": "", "action": DELETE_ALL}
         markers = [_marker(header, index, pair) for index, pair in enumerate(pairs[:MAX_CONTACTS])]
-        self._graph.publish(self._node, CONTACTS_TOPIC, {"markers": [clear, *markers]})
+        self._node.publish(CONTACTS_TOPIC, {"markers": [clear, *markers]})
 
 
 def _marker(header: Mapping[str, Any], index: int, pair: Mapping[str, Any]) -> dict[str, Any]:

@@ -23,7 +23,6 @@ from robot.description.model import RobotModel
 from server.errors import ServiceError
 from server.execution.monitors import CurrentState, state_message
 from server.execution.motions import Positions
-from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, Rule
 from server.graph.services import Answered, ServiceFunction
 from server.graph.topics import Graph
@@ -244,12 +243,11 @@ class NamedStatesServices:
     """MoveIt's warehouse services, and the latched topic ``/named_states``."""
 
     def __init__(self, graph: Graph, robot: RobotModel, states: NamedStates, current: CurrentState) -> None:
-        self._graph = graph
         self._robot = robot
         self._states = states
         self._current = current
-        self._node = Node("named states")
-        self._graph.advertise(self._node, NAMED_STATES_TOPIC, "std_msgs/String", latch=True)
+        self._node = graph.node("named states")
+        self._node.advertise(NAMED_STATES_TOPIC, "std_msgs/String", latch=True)
         self._publish()
         self._states.on_change(self._publish)
         self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list, LOOKING)
@@ -266,14 +264,14 @@ class NamedStatesServices:
                 raise ServiceError(f"robot: there is no robot {request['robot']!r}; this is {self._robot.name!r}")
             return function(request)
 
-        self._graph.services.offer(self._node, name, f"moveit_msgs/{type_name}", serve, rule=rule)
+        self._node.offer(name, f"moveit_msgs/{type_name}", serve, rule=rule)
 
     def _publish(self) -> None:
         states = {
             **{name: {"saved": False, "joints": state} for name, state in self._states.described.items()},
             **{name: {"saved": True, "joints": state} for name, state in self._states.saved.items()},
         }
-        self._graph.publish(self._node, NAMED_STATES_TOPIC, {"data": json.dumps(states)})
+        self._node.publish(NAMED_STATES_TOPIC, {"data": json.dumps(states)})
 
     def _list(self, request: Message) -> Message:
         pattern = request["regex"]

@@ -4,9 +4,8 @@ import contextlib
 import logging
 import os
 import re
-import stat
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -52,33 +51,10 @@ _QOS_PROFILE = """\
 _LATCHED = re.compile(r"\bdurability: *(transient_local|1)\b")
 
 
-_KINDS: Mapping[Callable[[int], bool], str] = {
-    stat.S_ISDIR: "a directory",
-    stat.S_ISCHR: "a character device",
-    stat.S_ISBLK: "a block device",
-    stat.S_ISFIFO: "a FIFO",
-    stat.S_ISSOCK: "a socket",
-}
-
-
 def check_path(path: Path) -> None:
-    """Refuse a path at which something is that no recording can be numbered after.
-
-    Raises ConfigurationError for a directory, a device or the like, a link to nothing, and for a folder that is missing
-    or cannot be written to.
-    """
-    try:
-        mode = path.stat().st_mode
-    except FileNotFoundError:
-        kind = "a symbolic link to nothing" if path.is_symlink() else None
-    except OSError as error:
-        raise ConfigurationError(f"recording.file: {path} cannot be used: {error.strerror or error}") from error
-    else:
-        kind = next(
-            (name for test, name in _KINDS.items() if test(mode)), None if stat.S_ISREG(mode) else "something else"
-        )
-    if kind is not None:
-        raise ConfigurationError(f"recording.file: {path} must be a regular file or not exist; it is {kind}")
+    """Refuse a path at which no recording can begin, by ConfigurationError; a file there is numbered after."""
+    if (path.exists() or path.is_symlink()) and not path.is_file():
+        raise ConfigurationError(f"recording.file: {path} must be a regular file or not exist")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise ConfigurationError(f"recording.file: {path} cannot be written: there is no writable folder {path.parent}")
 

@@ -10,7 +10,7 @@ import itertools
 import logging
 import math
 import struct
-from collections.abc import AsyncIterator, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -30,7 +30,6 @@ from server.access.settings import AccessSettings
 from server.errors import GraphError, RecordingError
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
-from server.graph.node import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.lifecycle import on_hangup, stop_signals, unless_ended
@@ -262,10 +261,9 @@ class RecordingPlayer:
     """Publishes a recording on a graph, with the recorded timing."""
 
     def __init__(self, graph: Graph, recording: RecordingFile, rate: float = 1.0) -> None:
-        self._graph = graph
         self._recording = recording
         self._rate = rate
-        self._node = Node("replay")
+        self._node = graph.node("replay")
         self._topics: dict[str, RecordedTopic] = {}
         self._unreadable_topics = LogLimiter()
         self.published = 0
@@ -274,7 +272,7 @@ class RecordingPlayer:
     def advertise(self, topics: Iterable[RecordedTopic]) -> None:
         """Advertise the recorded topics; a topic that cannot be advertised is logged and left out."""
         for recorded in topics:
-            others = self._graph.publishers(recorded.topic)
+            others = self._node.publishers(recorded.topic)
             if any(not other.remote for other in others if other is not self._node):
                 log.info("%s is left out: the replaying server has its own", recorded.topic)
             elif problem := recorded.problem or self._advertise(recorded):
@@ -286,17 +284,19 @@ class RecordingPlayer:
         """Publish every message at its time, once through the file."""
         loop = asyncio.get_running_loop()
         started_s, first_ns = loop.time(), None
-        async for message in self._messages():
-            first_ns = message.log_time_ns if first_ns is None else first_ns
-            due_s = started_s + (message.log_time_ns - first_ns) / 1e9 / self._rate
-            # Also when it is late already: clients are served between two messages.
-            await asyncio.sleep(max(0.0, due_s - loop.time()))
-            self._publish(message)
+        chunks = self._recording.chunks()
+        while (messages := await asyncio.to_thread(next, chunks, None)) is not None:
+            for message in messages:
+                first_ns = message.log_time_ns if first_ns is None else first_ns
+                due_s = started_s + (message.log_time_ns - first_ns) / 1e9 / self._rate
+                # Also when it is late already: clients are served between two messages.
+                await asyncio.sleep(max(0.0, due_s - loop.time()))
+                self._publish(message)
 
     def _advertise(self, recorded: RecordedTopic) -> str:
         """Advertise a topic; return the problem, or an empty text."""
         try:
-            self._graph.advertise(self._node, recorded.topic, recorded.type_name, latch=recorded.latched)
+            self._node.advertise(recorded.topic, recorded.type_name, latch=recorded.latched)
         except GraphError as error:
             return f"cannot be offered: {error}"
         return ""
@@ -306,24 +306,11 @@ class RecordingPlayer:
         if recorded is None or recorded.type_name != message.type_name:
             return
         try:
-            values = cdr.deserialize(self._graph.message_types.registry, message.type_name, message.octets)
-            self._graph.publish(self._node, message.topic, values)
+            values = cdr.deserialize(self._node.message_types.registry, message.type_name, message.octets)
+            self._node.publish(message.topic, values)
         except (ProtocolError, GraphError) as error:
             self.unreadable += 1
             line = f"{message.topic}: a message of {message.type_name} cannot be read: {error}"
             self._unreadable_topics.write(log, logging.WARNING, line, message.topic)
         else:
             self.published += 1
-
-    async def _messages(self) -> AsyncIterator[RecordedMessage]:
-        """Yield the messages of the file; a thread unpacks the next chunk while one is played."""
-        chunks = self._recording.chunks()
-        coming = asyncio.create_task(asyncio.to_thread(next, chunks, None))
-        try:
-            while (messages := await coming) is not None:
-                coming = asyncio.create_task(asyncio.to_thread(next, chunks, None))
-                for message in messages:
-                    yield message
-        finally:
-            # A thread cannot be cancelled, and the file must not be closed while it reads.
-            await asyncio.wait([coming])

@@ -18,7 +18,6 @@ from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import MotionStep, PlannedMotion, Positions
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
-from server.graph.node import Node
 from server.graph.permissions import GOAL
 from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
@@ -60,7 +59,7 @@ def offer_replay(graph: Graph, planning: PlanningContext, motions: MotionFiles, 
 
             def end(answer: Answer) -> None:
                 """End the goal, and log where the replay was slower than asked for."""
-                made = () if answer.performed is None else answer.performed.planned
+                made = answer.performed.planned
                 slowed = taught.slowed(speed, made[-1], planning.robot) if made else ""
                 if slowed:
                     log.info("the replay of %r took %s", name, slowed)
@@ -75,7 +74,7 @@ def offer_replay(graph: Graph, planning: PlanningContext, motions: MotionFiles, 
         # The goal keeps the task alive, which the event loop does not.
         goal.when_ended(lambda _end: task)
 
-    graph.actions.offer(Node("replay"), NAME, TYPE, start, rule=GOAL)
+    graph.node("replay").offer_action(NAME, TYPE, start, rule=GOAL)
 
 
 @dataclass(frozen=True)

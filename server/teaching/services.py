@@ -11,9 +11,9 @@ from robot.description.model import RobotModel
 from robot.messages import ArmState, Mode
 from robot.trajectory import Vector
 from server.errors import ServiceError
-from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
-from server.graph.services import CompleteResponse, Work, telling
+from server.graph.providers import CompleteResponse
+from server.graph.services import Work, telling
 from server.graph.topics import Graph
 from server.lifecycle import Feature
 from server.moveit.messages import Message
@@ -114,8 +114,8 @@ class Teaching(Feature):
     name = "teaching"
 
     def __init__(self, graph: Graph, planning: PlanningContext, motions: MotionFiles) -> None:
-        self._graph, self._planning, self._robot, self._motions = graph, planning, planning.robot, motions
-        self._node = Node("teaching")
+        self._planning, self._robot, self._motions = planning, planning.robot, motions
+        self._node = graph.node("teaching")
         self._recorder: TeachingRecorder | None = None
         self._state: ArmState | None = None
         self._closing = False
@@ -123,7 +123,7 @@ class Teaching(Feature):
         self._told = f"nothing is recorded: {BEGIN} begins"
         # The recording that is being made a motion.
         self._finishing: asyncio.Task[dict[str, Any]] | None = None
-        self._graph.advertise(self._node, STATE_TOPIC, "armbridge_msgs/TeachState", latch=True)
+        self._node.advertise(STATE_TOPIC, "armbridge_msgs/TeachState", latch=True)
         # To record moves nothing; a client that teaches may also drive.
         self._offer(BEGIN, "armbridge_msgs/srv/BeginTeaching", self._begin, WORKING)
         self._offer(END, "armbridge_msgs/srv/EndTeaching", self._end, WORKING)
@@ -134,9 +134,7 @@ class Teaching(Feature):
         self._offer("/teach/delete", "armbridge_msgs/srv/DeleteMotion", self._delete, CONFIGURING)
         self._offer("/teach/rename", "armbridge_msgs/srv/RenameMotion", self._rename, CONFIGURING)
         self._offer("/teach/trim", "armbridge_msgs/srv/TrimMotion", self._trim, CONFIGURING)
-        self._graph.services.offer(
-            self._node, "/teach/list", "armbridge_msgs/srv/ListMotions", self._list, rule=LOOKING
-        )
+        self._node.offer("/teach/list", "armbridge_msgs/srv/ListMotions", self._list, rule=LOOKING)
         self._show()
 
     @property
@@ -309,13 +307,11 @@ class Teaching(Feature):
     # Messages.
 
     def _offer(self, name: str, type_name: str, work: Work, rule: Rule) -> None:
-        self._graph.services.offer(
-            self._node, name, type_name, telling(name, work, log), limits=TRAJECTORY_LIMITS, rule=rule
-        )
+        self._node.offer(name, type_name, telling(name, work, log), limits=TRAJECTORY_LIMITS, rule=rule)
 
     def _show(self) -> None:
         message: dict[str, Any] = {"message": self._told}
         if (recorder := self._recorder) is not None:
             message |= {"recording": True, "name": recorder.name}
             message |= {"duration_s": recorder.duration_s, "points": recorder.points}
-        self._graph.publish(self._node, STATE_TOPIC, message)
+        self._node.publish(STATE_TOPIC, message)

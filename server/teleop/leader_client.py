@@ -88,7 +88,7 @@ async def publish_leader(target: PublishedTopic, settings: Settings, tell: Calla
         except TimeoutError:
             tell(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s")
         else:
-            await client.keep_connected()
+            await client.run()
 
     try:
         return await run_until_signal(run())

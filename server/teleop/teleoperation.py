@@ -5,7 +5,7 @@ import functools
 import logging
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from protocol.errors import MessageError
@@ -15,10 +15,9 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import is_stopped
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
-from server.graph.node import Node
-from server.graph.permissions import STOPPING, SWITCHING, Rule
-from server.graph.services import Work, telling
-from server.graph.topics import Graph, Subscriber
+from server.graph.permissions import STOPPING, SWITCHING, Node
+from server.graph.services import telling
+from server.graph.topics import Graph, LocalNode, Subscriber
 from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.teleop.following import STALE_S, FollowingPhase
@@ -135,19 +134,21 @@ class Teleoperation(Feature):
         self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]
     ) -> None:
         self._graph, self._context, self._queue, self._clock = graph, context, context.queue, context.clock
-        self._node = Node("teleop")
+        # Its own node, and below the name of each of several followers one.
+        self._node = graph.node("teleop")
         self._followers = {follower.name: follower for follower in followers}
         self._leaders = frozenset(leaders)
         self._followings: dict[str, _Following] = {}
         # The stop epoch that the last stop of each following began.
         self._last_stops: dict[str, int] = {}
-        self._graph.advertise(self._node, TARGETS_TOPIC, JOINT_STATE)
-        self._offer_below("", list(self._followers))
-        for follower in self._followers.values():
-            if follower.prefix:
-                self._offer_below(f"/{follower.name}", [follower.name])
+        self._node.advertise(TARGETS_TOPIC, JOINT_STATE)
+        self._offer_below(self._node, list(self._followers))
+        several = [name for name, each in self._followers.items() if each.prefix]
+        self._nodes = {name: LocalNode(graph, "teleop", f"/{name}") for name in several}
+        for name, node in self._nodes.items():
+            self._offer_below(node, [name])
 
-    def _offer_below(self, below: str, names: Sequence[str]) -> None:
+    def _offer_below(self, node: LocalNode, names: Sequence[str]) -> None:
         async def start(request: Message) -> dict[str, Any]:
             follower = self._chosen_follower(request["follower"], names)
             if (other := self._followings.get(follower.name)) is not None:
@@ -181,12 +182,12 @@ class Teleoperation(Feature):
             does = f"{_verb(followings, 'go')} to where the leader is" if request["data"] else _verb(followings, "hold")
             return {"success": True, "message": f"{' and '.join(followings)} {does}"}
 
-        self._graph.advertise(self._node, below + STATE_TOPIC, "armbridge_msgs/TeleopState", latch=True)
-        self._offer(below + START, "armbridge_msgs/srv/StartTeleop", start, SWITCHING)
-        self._offer(below + STOP, "std_srvs/srv/Trigger", stop, STOPPING)
-        self._offer(below + CLUTCH, "std_srvs/srv/SetBool", set_clutch, SWITCHING)
-        idle = {"phase": "idle", "message": f"nothing follows: {below}{START} begins", "speed_scale": 1.0}
-        self._graph.publish(self._node, below + STATE_TOPIC, idle)
+        node.advertise(STATE_TOPIC, "armbridge_msgs/TeleopState", latch=True)
+        node.offer(START, "armbridge_msgs/srv/StartTeleop", telling(node.resolve(START), start, log), rule=SWITCHING)
+        node.offer(STOP, "std_srvs/srv/Trigger", telling(node.resolve(STOP), stop, log), rule=STOPPING)
+        node.offer(CLUTCH, "std_srvs/srv/SetBool", telling(node.resolve(CLUTCH), set_clutch, log), rule=SWITCHING)
+        idle = {"phase": "idle", "message": f"nothing follows: {node.resolve(START)} begins", "speed_scale": 1.0}
+        node.publish(STATE_TOPIC, idle)
 
     @property
     def observes_states(self) -> bool:
@@ -306,9 +307,9 @@ class Teleoperation(Feature):
             log.info("teleoperation of %s: %s", follower.name, state.message or state.phase.value)
         names = {"follower": follower.name, "leader": following.leader.name}
         message = {**names, **asdict(state), "phase": state.phase.value}
-        self._graph.publish(self._node, STATE_TOPIC, message)
+        self._node.publish(STATE_TOPIC, message)
         if follower.prefix:
-            self._graph.publish(self._node, f"/{follower.name}{STATE_TOPIC}", message)
+            self._nodes[follower.name].publish(STATE_TOPIC, message)
         if state.phase is FollowingPhase.IDLE:
             self._forget(follower, following)
 
@@ -316,22 +317,16 @@ class Teleoperation(Feature):
         """Publish the targets of all followers in one message, as ``/joint_states`` has all joints."""
         following.targets_rad = targets_rad
         present = {name: target for each in self._followings.values() for name, target in each.targets_rad.items()}
-        self._graph.publish(
-            self._node,
+        self._node.publish(
             TARGETS_TOPIC,
             {
-                "header": {"stamp": self._graph.message_types.now().as_message(), "frame_id": ""},
+                "header": {"stamp": self._node.message_types.now().as_message(), "frame_id": ""},
                 "name": list(present),
                 "position": list(present.values()),
                 "velocity": [],
                 "effort": [],
             },
         )
-
-    def _offer(self, name: str, type_name: str, work: Work, rule: Rule) -> None:
-        arm = name[1:].partition("/")[0]
-        rule = replace(rule, arm=arm if arm in self._followers else "")
-        self._graph.services.offer(self._node, name, type_name, telling(name, work, log), rule=rule)
 
 
 def _verb(names: Collection[str], verb: str) -> str:

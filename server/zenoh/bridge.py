@@ -7,12 +7,11 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
-from server.gateway.turns import Threads
-from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import Identity, Node, Role
 from server.graph.topics import Graph
 from server.zenoh.network import ACTION_PARTS, Network, SharedNames
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
@@ -34,6 +33,9 @@ FULL_REFRESH_PERIOD_S = 5.0
 
 # Entities of other machines, far more than a few robots have: tokens that somebody invents must not grow the server.
 MAX_ENTITIES = 1_000
+
+# For large messages; with more, the event loop waits for the interpreter's lock behind each.
+DECODING_THREADS = 2
 
 # Ends of the topics that stop an arm, several, or one of several, which has them below its name; they always go out.
 STOPS = ("/stop", "/emergency_stop")
@@ -58,7 +60,7 @@ class Bridge:
         self._node = Node("zenoh", remote=True, identity=Identity("", Role[settings.role.upper()]))
         self._authorizer = Authorizer(self._node, access, graph)
         self._thread = SessionThread(lambda: zenoh.open(config))
-        self._threads = Threads()
+        self._threads = ThreadPoolExecutor(DECODING_THREADS, thread_name_prefix="zenoh decoding")
         # None as long as there is no session.
         self._sharing: Sharing | None = None
 
@@ -79,7 +81,9 @@ class Bridge:
             self._sharing = Sharing(network, self._settings, self._authorizer)
             await self._sharing.run()
         finally:
-            self._threads.close()
+            self._threads.shutdown(wait=False, cancel_futures=True)
+            if self._sharing is not None:
+                self._sharing.end_tasks()
             if not await asyncio.to_thread(self._thread.close):
                 log.error("zenoh: the network was not left in time")
             self._authorizer.leave()
@@ -115,10 +119,8 @@ class Sharing:
         self._offered = OfferedServices(network, self._offer, authorizer)
         self._called = CalledServices(network, self._call)
         self._clock = clock
-        self._seen: tuple[int, int, tuple[Entity, ...]] | None = None
+        self._seen: tuple[int, int, int] | None = None
         self._refreshed_s = clock()
-        self._entities: tuple[Entity, ...] = ()
-        self._foreign: frozenset[str] = frozenset()
         self._discovery = Discovery(network.domain_id, network.tokens.session, self._is_relevant)
         network.thread.submit(self._discovery.subscribe)
         self._node = network.declare(lambda session: [session.liveliness().declare_token(network.tokens.node())])
@@ -126,6 +128,11 @@ class Sharing:
     @property
     def dropped(self) -> int:
         return self._outgoing.dropped + self._incoming.dropped
+
+    def end_tasks(self) -> None:
+        """End the work for other machines that is in progress."""
+        for task in self._network.tasks:
+            task.cancel()
 
     async def run(self) -> None:
         """Refresh after every change, and in any case from time to time, until cancelled."""
@@ -135,9 +142,9 @@ class Sharing:
 
     def follow(self) -> None:
         """Refresh if anything has changed, or the last refresh is long ago."""
-        graph, entities, now_s = self._network.graph, self._discovery.entities(), self._clock()
+        graph, now_s = self._network.graph, self._clock()
         # Noted before the refresh: what that changes is looked at once more.
-        seen = graph.revision, graph.services.names.revision, entities
+        seen = graph.revision, graph.services.names.revision, self._discovery.revision
         if seen == self._seen and now_s < self._refreshed_s + FULL_REFRESH_PERIOD_S:
             return
         self._seen, self._refreshed_s = seen, now_s
@@ -150,10 +157,7 @@ class Sharing:
         entities = self._discovery.entities()
         self._incoming.refresh(entities)
         self._called.refresh(entities)
-        if entities is not self._entities:
-            self._entities = entities
-            self._foreign = frozenset(each.endpoint.name for each in entities if self._is_foreign(each))
-        self._outgoing.refresh(self._foreign)
+        self._outgoing.refresh(frozenset(each.endpoint.name for each in entities if self._is_foreign(each)))
         self._offered.refresh(entities)
 
     def _is_relevant(self, entity: Entity) -> bool:
@@ -183,8 +187,7 @@ class Discovery:
         self._is_relevant = is_relevant
         self._lock = threading.Lock()
         self._by_token: dict[str, Entity] = {}
-        # None after a change.
-        self._entities: tuple[Entity, ...] | None = ()
+        self.revision = 0  # grows with each change
 
     def subscribe(self, session: zenoh.Session) -> None:
         """Subscribe to tokens, those that exist already first; in the session's thread."""
@@ -194,11 +197,9 @@ class Discovery:
         session.liveliness().declare_subscriber(f"{ADMIN_SPACE}/{self._domain_id}/**", handler, history=True)
 
     def entities(self) -> tuple[Entity, ...]:
-        """Return the entities that exist now, each once; the same object for as long as nothing changes."""
+        """Return the entities that exist now, each once."""
         with self._lock:
-            if self._entities is None:
-                self._entities = tuple(dict.fromkeys(self._by_token.values()))
-            return self._entities
+            return tuple(dict.fromkeys(self._by_token.values()))
 
     def update(self, token: str, *, alive: bool) -> None:
         entity = Entity.parse(token) if alive else None
@@ -206,9 +207,9 @@ class Discovery:
         with self._lock:
             if entity is not None and is_kept and len(self._by_token) < MAX_ENTITIES:
                 self._by_token[token] = entity
-                self._entities = None
+                self.revision += 1
             elif not alive and self._by_token.pop(token, None) is not None:
-                self._entities = None
+                self.revision += 1
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         import zenoh

@@ -6,18 +6,18 @@ import asyncio
 import fnmatch
 import logging
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Coroutine, Iterable, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar
 
 from protocol import type_descriptions
 from protocol.codecs import cdr
-from protocol.errors import InterfaceError, MessageError
+from protocol.errors import InterfaceError
 from protocol.registry import Registry
 from robot.logs import LogLimiter
-from server.gateway.turns import Threads
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.zenoh.rmw import Endpoint, LivelinessTokens, is_name
 from server.zenoh.session import SessionThread
@@ -29,7 +29,7 @@ log = logging.getLogger("armbridge.zenoh")
 
 SharedKind: TypeAlias = Literal["msg", "srv"]
 
-Completed = TypeVar("Completed")
+Decoded = TypeVar("Decoded")
 
 # Between the name of an action and the names of its services and topics (rcl_action, names.c).
 ACTION_PARTS = "/_action/"
@@ -38,9 +38,6 @@ _HASHES: Mapping[SharedKind, Callable[[Registry, str], str]] = {
     "msg": type_descriptions.message_hash,
     "srv": type_descriptions.service_hash,
 }
-
-# Names whose match is remembered, as many as a large robot has: all of them are matched twice a second.
-MAX_CACHED_NAMES = 10_000
 
 # Warnings that are logged: a machine that invents names must not fill the log.
 MAX_WARNINGS = 200
@@ -61,18 +58,9 @@ class SharedNames:
         self._expressions = [re.compile(fnmatch.translate(pattern)) for pattern in patterns]
         self._always = always
         self._never = never
-        self._cache: dict[str, bool] = {}
 
     def matches(self, name: str) -> bool:
         """Return True for a name that matches, and that can be the name of something shared."""
-        matches = self._cache.get(name)
-        if matches is None:
-            if len(self._cache) >= MAX_CACHED_NAMES:
-                self._cache.clear()
-            matches = self._cache[name] = self._match(name)
-        return matches
-
-    def _match(self, name: str) -> bool:
         if not is_name(name) or self._never(name):
             return False
         base = name.partition(ACTION_PARTS)[0]
@@ -112,9 +100,10 @@ class Network:
     node: Node
     tokens: LivelinessTokens
     max_message_bytes: int
-    background: Threads
+    threads: Executor
     loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
     warnings: LogLimiter = field(default_factory=lambda: LogLimiter(max_keys=MAX_WARNINGS))
+    tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
     @property
     def domain_id(self) -> int:
@@ -166,39 +155,32 @@ class Network:
     def is_own_publication(self, topic: str) -> bool:
         return any(not node.remote for node in self.graph.publishers(topic))
 
-    def decode(self, type_name: str, octets: bytes, decoded: Callable[[ReceivedMessage | MessageError], None]) -> None:
-        """Decode a message, a large one by a thread; ``decoded`` gets it or its error in the event loop."""
-        self._decode(type_name, octets, lambda message: self._received(type_name, message, octets), decoded)
+    def start(self, work: Coroutine[Any, Any, None]) -> None:
+        """Do some work beside everything else, at most until the network is left."""
+        task = self.loop.create_task(work)
+        self.tasks.add(task)
+        task.add_done_callback(self.tasks.discard)
 
-    def decode_member(
-        self, type_name: str, member: str, octets: bytes, decoded: Callable[[dict[str, Any] | MessageError], None]
-    ) -> None:
+    def read(self, type_name: str, octets: bytes) -> ReceivedMessage:
+        """Decode a message in this thread, or raise MessageError."""
+        return self._received(type_name, cdr.deserialize(self.registry, type_name, octets), octets)
+
+    async def decode(self, type_name: str, octets: bytes) -> ReceivedMessage:
+        """Decode a message, a large one in a thread, or raise MessageError."""
+        return await self._decode(octets, lambda: self.read(type_name, octets))
+
+    async def decode_member(self, type_name: str, member: str, octets: bytes) -> dict[str, Any]:
         """Decode a message as :meth:`decode`, with a `ReceivedMessage` in the field ``member``."""
         (member_type,) = (field.base for field in self.registry.message(type_name).fields if field.name == member)
 
-        def with_member(message: dict[str, Any]) -> dict[str, Any]:
+        def read() -> dict[str, Any]:
+            message = cdr.deserialize(self.registry, type_name, octets)
             return {**message, member: self._received(member_type, message[member], octets)}
 
-        self._decode(type_name, octets, with_member, decoded)
+        return await self._decode(octets, read)
 
-    def _decode(
-        self,
-        type_name: str,
-        octets: bytes,
-        complete: Callable[[dict[str, Any]], Completed],
-        decoded: Callable[[Completed | MessageError], None],
-    ) -> None:
-        def read() -> Completed | MessageError:
-            try:
-                return complete(cdr.deserialize(self.registry, type_name, octets))
-            except MessageError as error:
-                return error
-
-        if len(octets) <= BYTES_AT_ONCE:
-            decoded(read())
-            return
-        failed = MessageError(type_name, "a message that cannot be decoded")
-        self.background.run(read, lambda message, _cost_s: decoded(message), lambda: decoded(failed))
+    async def _decode(self, octets: bytes, read: Callable[[], Decoded]) -> Decoded:
+        return read() if len(octets) <= BYTES_AT_ONCE else await self.loop.run_in_executor(self.threads, read)
 
     def _received(self, type_name: str, message: dict[str, Any], octets: bytes) -> ReceivedMessage:
         received = ReceivedMessage(message, len(octets))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 import time
 from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
@@ -16,10 +17,11 @@ from protocol.type_descriptions import message_hash, service_hash
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer, rule_of_service
 from server.arrival import arrived_in
-from server.errors import GraphError
+from server.errors import GraphError, ServiceError
 from server.graph.actions import ENDED_KEPT_S, MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
-from server.graph.services import LOCAL_TIMEOUT_S, Call, Response
+from server.graph.providers import CompleteResponse
+from server.graph.services import LOCAL_TIMEOUT_S, Response, answer
 from server.timers import call_in_loop
 from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of
@@ -54,38 +56,34 @@ class RemoteService:
     def close(self) -> None:
         self._declaration.undeclare()
 
-    def call(
-        self,
-        request: Mapping[str, Any],
-        take: Callable[[bytes], None],
-        fail: Callable[[str], None],
-        timeout_s: float = LOCAL_TIMEOUT_S,
-    ) -> None:
-        """Call the service; in the event loop ``take`` gets the response as CDR, or ``fail`` the reason."""
+    async def call(self, request: Mapping[str, Any], timeout_s: float = LOCAL_TIMEOUT_S) -> bytes:
+        """Call the service; return the response as CDR, or raise ServiceError with the reason."""
         if self._in_progress >= MAX_OUTGOING_CALLS:
-            fail(f"{self._title}: {MAX_OUTGOING_CALLS} calls are on their way already")
-            return
-        network, loop, limit = self._network, self._network.loop, self._network.max_message_bytes
+            raise ServiceError(f"{self._title}: {MAX_OUTGOING_CALLS} calls are on their way already")
+        network, limit = self._network, self._network.max_message_bytes
         self._sent += 1
         attachment = Attachment(self._sent, time.time_ns(), self._gid).encode()
-        unanswered = [fail]
+        answered: asyncio.Future[bytes] = network.loop.create_future()
 
-        def answer(function: Callable[..., None], value: bytes | str) -> None:
-            unanswered.clear()
-            function(value)
+        def answer(response: bytes | str) -> None:
+            if answered.done():
+                return
+            if isinstance(response, bytes):
+                answered.set_result(response)
+            else:
+                answered.set_exception(ServiceError(response))
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None and len(reply.ok.payload) > limit:
-                call_in_loop(loop, answer, fail, f"{self._title} gave a response of more than {limit} bytes")
+                call_in_loop(network.loop, answer, f"{self._title} gave a response of more than {limit} bytes")
             elif reply.ok is not None:
-                call_in_loop(loop, answer, take, bytes(reply.ok.payload))
+                call_in_loop(network.loop, answer, bytes(reply.ok.payload))
             elif reply.err is not None:
-                call_in_loop(loop, answer, fail, bytes(reply.err.payload).decode(errors="replace"))
+                call_in_loop(network.loop, answer, bytes(reply.err.payload).decode(errors="replace"))
 
         def end() -> None:
             self._in_progress -= 1
-            for waiting in unanswered:
-                waiting(f"{self._title} has not answered")
+            answer(f"{self._title} has not answered")
 
         def get(session: zenoh.Session) -> None:
             import zenoh
@@ -93,7 +91,7 @@ class RemoteService:
             octets = cdr.serialize(network.registry, f"{self.endpoint.type_name}_Request", request)
             session.get(
                 self.endpoint.key(network.domain_id),
-                zenoh.handlers.Callback(on_reply, lambda: call_in_loop(loop, end), indirect=False),
+                zenoh.handlers.Callback(on_reply, lambda: call_in_loop(network.loop, end), indirect=False),
                 target=zenoh.QueryTarget.ALL_COMPLETE,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 timeout=timeout_s,
@@ -102,10 +100,10 @@ class RemoteService:
                 attachment=attachment,
             )
 
-        if network.thread.submit_call(get):
-            self._in_progress += 1
-        else:
-            fail(f"{self._title}: the network stands still")
+        if not network.thread.submit_call(get):
+            raise ServiceError(f"{self._title}: the network stands still")
+        self._in_progress += 1
+        return await answered
 
 
 class CalledService:
@@ -115,7 +113,9 @@ class CalledService:
         self.endpoint = endpoint
         self._network = network
         self._name = name
-        network.graph.services.offer_calls(network.node, name, endpoint.type_name, self._start, limits=None)
+        network.graph.services.offer_calls(
+            network.node, name, endpoint.type_name, lambda call: answer(call, self._serve), limits=None
+        )
         self._remote = RemoteService(network, f"Service {name}", endpoint)
 
     def close(self) -> None:
@@ -123,17 +123,16 @@ class CalledService:
         self._network.graph.services.withdraw(self._network.node, self._name)
         self._remote.close()
 
-    def _start(self, call: Call) -> None:
-        def take(response: ReceivedMessage | MessageError) -> None:
-            try:
-                if isinstance(response, MessageError):
-                    raise response
-                call.succeed(response)
-            except MessageError as error:
-                call.fail(f"Service {self._name} gave a response that does not fit {call.type_name}: {error}")
-
-        response_type = f"{call.type_name}_Response"
-        self._remote.call(call.request, lambda octets: self._network.decode(response_type, octets, take), call.fail)
+    async def _serve(self, request: dict[str, Any]) -> CompleteResponse:
+        type_name = self.endpoint.type_name
+        octets = await self._remote.call(request)
+        try:
+            response = await self._network.decode(f"{type_name}_Response", octets)
+            return CompleteResponse(response.completed(f"{type_name}_Response") or {})
+        except MessageError as error:
+            raise ServiceError(
+                f"Service {self._name} gave a response that does not fit {type_name}: {error}"
+            ) from error
 
 
 class CalledAction:
@@ -148,8 +147,8 @@ class CalledAction:
         self._name = name
         self._type_name = type_name = endpoint.type_name.removesuffix(SEND_GOAL_TYPE)
         self._goals: dict[bytes, ActionGoal] = {}
-        self._received = ReceiveQueue[bytes](network.loop, self._take_feedback)
-        network.graph.actions.offer(network.node, name, type_name, self._start)
+        self._received = ReceiveQueue[bytes](network.loop, lambda octets: network.start(self._report(octets)))
+        network.graph.actions.offer(network.node, name, type_name, lambda goal: network.start(self._pursue(goal)))
         parts, title = f"{endpoint.name.removesuffix(SEND_GOAL)}{ACTION_PARTS}", f"Action {name}"
         self._send_goal, self._get_result, self._cancel_goal = (
             RemoteService(network, title, Endpoint(f"{parts}{part}", service, service_hash(network.registry, service)))
@@ -183,59 +182,43 @@ class CalledAction:
         if is_own_key and len(sample.payload) <= self._network.max_message_bytes:
             self._received.put(bytes(sample.payload), len(sample.payload))
 
-    def _take_feedback(self, octets: bytes) -> None:
-        def take(message: dict[str, Any] | MessageError) -> None:
-            try:
-                if isinstance(message, MessageError):
-                    raise message
-                goal = self._goals.get(b64decode(message["goal_id"]["uuid"]))
-                if goal is not None:
-                    goal.feedback(message["feedback"])
-            except MessageError as error:
-                self._network.warn(f"feedback of {self._name} is left out: {error}")
+    async def _report(self, octets: bytes) -> None:
+        try:
+            message = await self._network.decode_member(self._feedback.type_name, "feedback", octets)
+            goal = self._goals.get(b64decode(message["goal_id"]["uuid"]))
+            if goal is not None:
+                goal.feedback(message["feedback"])
+        except MessageError as error:
+            self._network.warn(f"feedback of {self._name} is left out: {error}")
 
-        self._network.decode_member(self._feedback.type_name, "feedback", octets, take)
-
-    def _start(self, goal: ActionGoal) -> None:
-        network, goal_id = self._network, {"uuid": b64encode(goal.goal_id).decode()}
-
-        def take_acceptance(octets: bytes) -> None:
-            try:
-                response = cdr.deserialize(network.registry, f"{self._type_name}_SendGoal_Response", octets)
-            except MessageError as error:
-                fail(error)
-                return
-            if not response["accepted"]:
-                goal.fail(f"Action {self._name}: its provider has rejected the goal", GoalStatus.UNKNOWN)
-                return
-            self._get_result.call({"goal_id": goal_id}, decode_result, goal.fail, MAX_GOAL_S)
-            # Not before: the provider does not know the goal yet.
-            goal.when_canceled(cancel)
-
-        def decode_result(octets: bytes) -> None:
-            network.decode_member(f"{self._type_name}_GetResult_Response", "result", octets, take_result)
-
-        def take_result(response: dict[str, Any] | MessageError) -> None:
-            try:
-                if isinstance(response, MessageError):
-                    fail(response)
-                elif response["status"] in FINAL:
-                    goal.finish(GoalStatus(response["status"]), response["result"])
-                else:
-                    goal.fail(f"Action {self._name}: its provider does not know the goal any more")
-            except MessageError as error:
-                fail(error)
-
-        def fail(error: MessageError) -> None:
-            goal.fail(f"Action {self._name} gave a response that does not fit {self._type_name}: {error}")
-
-        def cancel() -> None:
-            info = {"goal_id": goal_id, "stamp": {"sec": 0, "nanosec": 0}}
-            self._cancel_goal.call({"goal_info": info}, lambda _octets: None, network.warn)
-
+    async def _pursue(self, goal: ActionGoal) -> None:
+        network, type_name, goal_id = self._network, self._type_name, {"uuid": b64encode(goal.goal_id).decode()}
         self._goals[goal.goal_id] = goal
         goal.when_ended(lambda _result: self._goals.pop(goal.goal_id))
-        self._send_goal.call({"goal_id": goal_id, "goal": goal.request}, take_acceptance, goal.fail)
+        try:
+            octets = await self._send_goal.call({"goal_id": goal_id, "goal": goal.request})
+            if not cdr.deserialize(network.registry, f"{type_name}_SendGoal_Response", octets)["accepted"]:
+                goal.fail(f"Action {self._name}: its provider has rejected the goal", GoalStatus.UNKNOWN)
+                return
+            # Not before: the provider does not know the goal yet.
+            goal.when_canceled(lambda: network.start(self._cancel(goal_id)))
+            octets = await self._get_result.call({"goal_id": goal_id}, MAX_GOAL_S)
+            response = await network.decode_member(f"{type_name}_GetResult_Response", "result", octets)
+            if response["status"] in FINAL:
+                goal.finish(GoalStatus(response["status"]), response["result"])
+            else:
+                goal.fail(f"Action {self._name}: its provider does not know the goal any more")
+        except ServiceError as error:
+            goal.fail(str(error))
+        except MessageError as error:
+            goal.fail(f"Action {self._name} gave a response that does not fit {type_name}: {error}")
+
+    async def _cancel(self, goal_id: Mapping[str, str]) -> None:
+        info = {"goal_id": goal_id, "stamp": {"sec": 0, "nanosec": 0}}
+        try:
+            await self._cancel_goal.call({"goal_info": info})
+        except ServiceError as error:
+            self._network.warn(str(error))
 
 
 class CalledServices:
@@ -246,14 +229,11 @@ class CalledServices:
         self._names = names
         # An action by its service send_goal.
         self._services: dict[str, CalledService | CalledAction] = {}
-        self._entities: tuple[Entity, ...] = ()
-        self._announced: dict[str, Endpoint] = {}
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
         """Let clients call the services that exist now, and no others."""
-        if entities is not self._entities:
-            self._entities, self._announced = entities, self._endpoints(entities)
-        wanted = {name: endpoint for name, endpoint in self._announced.items() if not self._is_taken(name)}
+        announced = self._endpoints(entities)
+        wanted = {name: endpoint for name, endpoint in announced.items() if not self._is_taken(name)}
         for name, service in list(self._services.items()):
             if wanted.get(name) != service.endpoint:
                 self._services.pop(name).close()
@@ -293,8 +273,6 @@ GOAL_SERVICES = {"send_goal": "_SendGoal", "get_result": "_GetResult"}
 # Goals of all other machines whose results are kept; far more than an arm carries out.
 MAX_GOALS = 1_000
 
-Respond: TypeAlias = Callable[[Response], None]
-
 
 class OfferedGoals:
     """Goals that other machines have sent, until their results have been kept long enough."""
@@ -304,25 +282,23 @@ class OfferedGoals:
         self._authorizer = authorizer
         self._results: dict[str, asyncio.Future[Result]] = {}
 
-    def send(self, action: str, octets: bytes, epoch: int, respond: Respond) -> None:
-        """Serve ``send_goal``, a request as CDR that arrived in a stop epoch."""
-        network, type_name = self._network, self._network.graph.actions.names.type_of(action)
+    async def send(self, action: str, octets: bytes) -> dict[str, Any]:
+        """Serve ``send_goal``, a request as CDR; raises ServiceError."""
+        network, type_name = self._network, self._type_of(action)
+        try:
+            request = await network.decode_member(f"{type_name}_SendGoal_Request", "goal", octets)
+            refusal = self._start(action, type_name, request["goal_id"]["uuid"], request["goal"])
+        except MessageError as error:
+            refusal = str(error)
+        if refusal is not None:
+            network.warn(f"a goal of another machine to {action} is rejected: {refusal}")
+        return {"accepted": refusal is None, "stamp": network.graph.message_types.now().as_message()}
+
+    def _type_of(self, action: str) -> str:
+        type_name = self._network.graph.actions.names.type_of(action)
         if type_name is None:
-            respond(_no_action(action))
-            return
-
-        def take(request: dict[str, Any] | MessageError) -> None:
-            if isinstance(request, MessageError):
-                refusal: str | None = str(request)
-            else:
-                with arrived_in(epoch):
-                    refusal = self._start(action, type_name, request["goal_id"]["uuid"], request["goal"])
-            if refusal is not None:
-                network.warn(f"a goal of another machine to {action} is rejected: {refusal}")
-            stamp = network.graph.message_types.now().as_message()
-            respond(Response(ok=True, values={"accepted": refusal is None, "stamp": stamp}))
-
-        network.decode_member(f"{type_name}_SendGoal_Request", "goal", octets, take)
+            raise ServiceError(f"Action {action} does not exist")
+        return type_name
 
     def _start(self, action: str, type_name: str, goal_id: str, goal: ReceivedMessage) -> str | None:
         network = self._network
@@ -343,29 +319,18 @@ class OfferedGoals:
         result.add_done_callback(lambda _: network.loop.call_later(ENDED_KEPT_S, self._results.pop, goal_id, None))
         return None
 
-    def get_result(self, action: str, octets: bytes, respond: Respond) -> None:
-        """Serve ``get_result``: respond when the goal has ended; at once, with an unknown status, for no known goal."""
-        network, type_name = self._network, self._network.graph.actions.names.type_of(action)
-        if type_name is None:
-            respond(_no_action(action))
-            return
-
-        def answer(result: Result) -> None:
-            values = result.values if result.ok else network.graph.message_types.complete(f"{type_name}_Result", {})
-            respond(Response(ok=True, values={"status": int(result.status), "result": values}))
-
-        def take(request: dict[str, Any] | MessageError) -> None:
-            known = None if isinstance(request, MessageError) else self._results.get(request["goal_id"].value["uuid"])
-            if known is None:
-                answer(Result(ok=False, status=GoalStatus.UNKNOWN, values=""))
-            else:
-                known.add_done_callback(lambda done: answer(done.result()))
-
-        network.decode_member(f"{type_name}_GetResult_Request", "goal_id", octets, take)
-
-
-def _no_action(action: str) -> Response:
-    return Response(ok=False, values=f"Action {action} does not exist")
+    async def result(self, action: str, octets: bytes) -> dict[str, Any]:
+        """Serve ``get_result`` when the goal has ended; at once, with an unknown status, for no known goal."""
+        network, type_name = self._network, self._type_of(action)
+        result, known = Result(ok=False, status=GoalStatus.UNKNOWN, values=""), None
+        with contextlib.suppress(MessageError):
+            request = cdr.deserialize(network.registry, f"{type_name}_GetResult_Request", octets)
+            known = self._results.get(request["goal_id"]["uuid"])
+        if known is not None:
+            # The goal goes on when the network is left.
+            result = await asyncio.shield(known)
+        values = result.values if result.ok else network.graph.message_types.complete(f"{type_name}_Result", {})
+        return {"status": int(result.status), "result": values}
 
 
 # Calls of all other machines in progress; at worst each is a plan or a motion, which takes its time.
@@ -491,31 +456,34 @@ class OfferedServices:
             self._network.thread.submit_call(lambda _session: call.service.reply(call, Response(ok=False, values=full)))
 
     def _call(self, call: IncomingCall) -> None:
-        network, name = self._network, call.service.name
-        action, _, part = name.partition(ACTION_PARTS)
+        with arrived_in(call.epoch):
+            self._network.start(self._answer(call))
 
-        def respond(response: Response) -> None:
+    async def _answer(self, call: IncomingCall) -> None:
+        try:
+            response = await self._serve(call.service, call.octets)
+        except (ServiceError, MessageError) as error:
+            response = Response(ok=False, values=str(error))
+        finally:
             with self._lock:
                 self._in_progress -= 1
-            network.thread.submit_call(lambda _session: call.service.reply(call, response))
+        self._network.thread.submit_call(lambda _session: call.service.reply(call, response))
 
-        if part == "send_goal":
-            self._goals.send(action, call.octets, call.epoch, respond)
-            return
-        if part == "get_result":
-            self._goals.get_result(action, call.octets, respond)
-            return
+    async def _serve(self, service: OfferedService, octets: bytes) -> Response:
+        network, name = self._network, service.name
+        action, _, part = name.partition(ACTION_PARTS)
+        if part in GOAL_SERVICES:
+            serve = self._goals.send if part == "send_goal" else self._goals.result
+            return Response(ok=True, values=await serve(action, octets))
         refusal = self._authorizer.calling(name, None)
         if refusal is not None:
             network.warn(refusal)
-            respond(Response(ok=False, values=refusal))
-            return
-
-        def take(request: ReceivedMessage | MessageError) -> None:
-            if isinstance(request, MessageError):
-                respond(Response(ok=False, values=f"Service {name}: {request}"))
-            else:
-                with arrived_in(call.epoch):
-                    network.graph.services.call(network.node, name, request, respond)
-
-        network.decode(f"{call.service.endpoint.type_name}_Request", call.octets, take)
+            raise ServiceError(refusal)
+        try:
+            request = await network.decode(f"{service.endpoint.type_name}_Request", octets)
+        except MessageError as error:
+            raise ServiceError(f"Service {name}: {error}") from error
+        answered: asyncio.Future[Response] = network.loop.create_future()
+        network.graph.services.call(network.node, name, request, answered.set_result)
+        # The call goes on when the network is left.
+        return await asyncio.shield(answered)

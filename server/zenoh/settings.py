@@ -132,19 +132,15 @@ def error_text(error: Exception) -> str:
 
 def exposed_endpoint(endpoints: Iterable[str], *, mutual_tls: bool) -> str | None:
     """Return the first endpoint that admits other machines without authentication; None if there is none."""
-    return next((each for each in endpoints if not _is_protected(each, mutual_tls)), None)
-
-
-def _is_protected(endpoint: str, mutual_tls: bool) -> bool:
-    found = _ENDPOINT.match(endpoint)
-    if found is None:
-        return False
-    protocol, host = found["protocol"], found["host"].strip("[]")
-    if protocol.startswith("unix") or host == "localhost":
-        return True
-    if protocol in _WITH_CERTIFICATES and mutual_tls:
-        return True
-    return is_loopback(host)
+    for endpoint in endpoints:
+        found = _ENDPOINT.match(endpoint)
+        if found is None:
+            return endpoint
+        protocol, host = found["protocol"], found["host"].strip("[]")
+        is_local = protocol.startswith("unix") or host == "localhost" or is_loopback(host)
+        if not is_local and not (mutual_tls and protocol in _WITH_CERTIFICATES):
+            return endpoint
+    return None
 
 
 def _check_exposure(settings: ZenohSettings, config: zenoh.Config) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from protocol.codecs import cdr
@@ -14,7 +15,7 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer
 from server.arrival import arrived_in
 from server.errors import GraphError
-from server.graph.message_types import ReceivedMessage
+from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.topics import Subscriber
 from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of, is_name
@@ -233,8 +234,6 @@ class IncomingTopics:
         self._received = ReceiveQueue[IncomingMessage](network.loop, self._publish)
         self._topics: dict[str, IncomingTopic] = {}
         self._dropped_waiting = 0
-        self._entities: tuple[Entity, ...] = ()
-        self._announced: dict[str, Source] = {}
 
     @property
     def dropped(self) -> int:
@@ -242,9 +241,7 @@ class IncomingTopics:
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
         """Subscribe to the topics that exist now, and to no others."""
-        if entities is not self._entities:
-            self._entities, self._announced = entities, self._sources(entities)
-        wanted = self._wanted()
+        wanted = self._wanted(self._sources(entities))
         for name, topic in list(self._topics.items()):
             current = wanted.get(name)
             if current is not None and current.subscription == topic.source.subscription:
@@ -258,16 +255,16 @@ class IncomingTopics:
                 except GraphError as error:
                     self._network.warn(f"{source.endpoint.name} does not come in: {error}")
 
-    def _wanted(self) -> dict[str, Source]:
+    def _wanted(self, sources: Mapping[str, Source]) -> dict[str, Source]:
         network, found = self._network, dict[str, Source]()
         for name, type_name in network.graph.topic_names.types().items():
             if self._names.matches(name) and network.is_own_subscription(name) and not network.is_own_publication(name):
                 own = network.endpoint(network.to_network(name), type_name, "msg")
                 if own is not None:
-                    announced = self._announced.get(name)
+                    announced = sources.get(name)
                     # A latched goal is an old one; it must not move the arm of a server that starts.
                     found[name] = Source(own, False, announced is not None and announced.endpoint == own)
-        for name, source in self._announced.items():
+        for name, source in sources.items():
             if name not in found and not self._is_taken(name, source.endpoint.name):
                 found[name] = source
         return found
@@ -303,30 +300,37 @@ class IncomingTopics:
             self._dropped_waiting += len(topic.waiting) == MAX_WAITING
             topic.waiting.append(received)
             return
-        topic.decoding = True
+        if len(received.octets) > BYTES_AT_ONCE:
+            topic.decoding = True
+            self._network.start(self._publish_large(received))
+            return
+        with self._left_out_on_error(topic.name):
+            self._deliver(received, self._network.read(topic.source.endpoint.type_name, received.octets))
 
-        def take(message: ReceivedMessage | MessageError) -> None:
-            topic.decoding = False
-            with arrived_in(received.epoch):
-                self._deliver(topic, message)
-            if topic.waiting:
-                self._publish(topic.waiting.popleft())
+    async def _publish_large(self, received: IncomingMessage) -> None:
+        topic = received.topic
+        with self._left_out_on_error(topic.name):
+            self._deliver(received, await self._network.decode(topic.source.endpoint.type_name, received.octets))
+        topic.decoding = False
+        while topic.waiting and not topic.decoding:
+            self._publish(topic.waiting.popleft())
 
-        self._network.decode(topic.source.endpoint.type_name, received.octets, take)
+    @contextlib.contextmanager
+    def _left_out_on_error(self, name: str) -> Iterator[None]:
+        try:
+            yield
+        except (MessageError, GraphError) as error:
+            self._network.warn(f"a message on {name} is left out: {error}")
 
-    def _deliver(self, topic: IncomingTopic, message: ReceivedMessage | MessageError) -> None:
+    def _deliver(self, received: IncomingMessage, message: ReceivedMessage) -> None:
+        network, topic = self._network, received.topic
         if self._topics.get(topic.name) is not topic:
             return
-        network = self._network
-        try:
-            if isinstance(message, MessageError):
-                raise message
+        with arrived_in(received.epoch):
             if not self._is_rejected(topic.name, message):
                 lost = network.graph.publish(network.node, topic.name, message, latch=topic.source.latched)
                 if lost is not None:
                     network.warn(lost)
-        except (MessageError, GraphError) as error:
-            network.warn(f"a message on {topic.name} is left out: {error}")
 
     def _is_rejected(self, name: str, message: ReceivedMessage) -> bool:
         """Reject a message to the server that other machines have no permission for; return True if it was rejected."""

@@ -124,25 +124,6 @@ function fibonacci(order) {
 }
 
 if (ROSLIB.Action) {
-  const server = new ROSLIB.Action({ ros: other, name: "/grip", actionType: "control_msgs/action/GripperCommand" });
-  server.advertise(
-    (goal, id) => {
-      server.sendFeedback(id, { position: goal.command.position / 2 });
-      server.setSucceeded(id, { position: goal.command.position, reached_goal: true });
-    },
-    () => {},
-  );
-  await step("action", (resolve, reject) => {
-    let feedback = null;
-    const send = () =>
-      new ROSLIB.Action({ ros, name: "/grip", actionType: "control_msgs/action/GripperCommand" }).sendGoal(
-        { command: { position: 0.5 } },
-        (result) => resolve({ result, feedback }),
-        (told) => (feedback = told),
-        (error) => (String(error).includes("does not exist") ? setTimeout(send, 50) : reject(new Error(error))),
-      );
-    send();
-  });
   const series = { name: "/fibonacci", actionType: "example_interfaces/action/Fibonacci" };
   const teacher = new ROSLIB.Action({ ros: other, ...series });
   teacher.advertise(
@@ -165,23 +146,6 @@ if (ROSLIB.Action) {
   });
 } else {
   // roslibjs 1 knows the five topics of actionlib only.
-  const server = new ROSLIB.SimpleActionServer({
-    ros: other,
-    serverName: "/grip",
-    actionName: "control_msgs/GripperCommandAction",
-  });
-  server.on("goal", (goal) => {
-    server.sendFeedback({ position: goal.command.position / 2 });
-    server.setSucceeded({ position: goal.command.position, reached_goal: true });
-  });
-  await step("action", (resolve) => {
-    let feedback = null;
-    const client = new ROSLIB.ActionClient({ ros, serverName: "/grip", actionName: "control_msgs/GripperCommandAction" });
-    const goal = new ROSLIB.Goal({ actionClient: client, goalMessage: { command: { position: 0.5, max_effort: 0.0 } } });
-    goal.on("feedback", (told) => (feedback = told));
-    goal.on("result", (result) => resolve({ result, feedback }));
-    setTimeout(() => goal.send(), 300);
-  });
   const series = { serverName: "/fibonacci", actionName: "actionlib_tutorials/FibonacciAction" };
   const teacher = new ROSLIB.SimpleActionServer({ ros: other, ...series });
   teacher.on("goal", (goal) => {

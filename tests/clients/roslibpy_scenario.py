@@ -13,7 +13,6 @@ import roslibpy
 from roslibpy import actionlib
 
 STEP_TIMEOUT_S = 120.0
-ACTION = ("/grip", "control_msgs/GripperCommandAction")
 FIBONACCI = ("/fibonacci", "actionlib_tutorials/FibonacciAction")
 
 
@@ -54,7 +53,6 @@ def main(port: int) -> dict[str, Any]:
         "failed service": failed_service(client, other),
         "unknown service": unknown_service(client),
         "goal": goal(client),
-        "action": action(client, other),
         "fibonacci": fibonacci(client, other),
         "unknown parameter": client.get_param("/nobody_has_set_this"),
     }
@@ -108,24 +106,6 @@ def goal(client: roslibpy.Ros) -> dict[str, Any]:
     result = first_message(client, "/moveit_goal_result", "moveit_msgs/MoveItErrorCodes")
     roslibpy.Topic(client, "/moveit_goal_named", "std_msgs/String").publish(roslibpy.Message({"data": "ready"}))
     return dict(result.wait("goal"))
-
-
-def action(client: roslibpy.Ros, other: roslibpy.Ros) -> dict[str, Any]:
-    server = actionlib.SimpleActionServer(other, *ACTION)
-
-    def grip(asked: dict[str, Any]) -> None:
-        position = asked["command"]["position"]
-        server.send_feedback({"position": position / 2})
-        server.set_succeeded({"position": position, "reached_goal": True})
-
-    server.start(grip)
-    gripper = actionlib.ActionClient(client, *ACTION)
-    asked = actionlib.Goal(gripper, roslibpy.Message({"command": {"position": 0.5, "max_effort": 0.0}}))
-    feedback = Heard()
-    asked.on("feedback", lambda told: feedback(dict(told)))
-    asked.send()
-    result = asked.wait(STEP_TIMEOUT_S)
-    return {"result": dict(result), "feedback": feedback.wait("feedback")}
 
 
 def numbers(order: int) -> list[int]:

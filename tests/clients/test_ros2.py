@@ -1,6 +1,5 @@
 """clients/ros2: an ordinary ROS 2 node moves the arm through the bridge, on Fast DDS."""
 
-import json
 import os
 import subprocess
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ import pytest
 
 from harness.server import ROOT, RunningServer
 from harness.waiting import TIMEOUT_S, running
+from tests.helpers import programs
 
 PYTHON = ROOT / "build" / "ros2" / "bin" / "python"
 SCENARIO_TIMEOUT_S = 300
@@ -41,17 +41,7 @@ def bridge(server: RunningServer) -> Iterator[subprocess.Popen[str]]:
 
 
 def heard_by(scenario: str) -> dict[str, Any]:
-    done = subprocess.run(
-        [str(PYTHON), str(Path(__file__).with_name(scenario))],
-        capture_output=True,
-        text=True,
-        timeout=SCENARIO_TIMEOUT_S,
-        check=False,
-        env=ENVIRONMENT,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    seen: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return seen
+    return programs.heard_by(PYTHON, Path(__file__).with_name(scenario), timeout_s=SCENARIO_TIMEOUT_S, env=ENVIRONMENT)
 
 
 @pytest.mark.usefixtures("bridge")

@@ -6,7 +6,6 @@ They are unchanged but for the port. The other libraries' packages have no tests
 
 import json
 import os
-import subprocess
 import sys
 import tarfile
 import threading
@@ -21,6 +20,7 @@ from websockets.sync.client import connect
 
 from harness.server import RunningServer
 from tests.clients.conftest import OF_DIALECT
+from tests.helpers.programs import run
 
 PACKAGE = f"roslibpy=={metadata.version('roslibpy')}"
 
@@ -39,7 +39,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of the tests."""
     folder = tmp_path_factory.mktemp("roslibpy")
     command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-binary", ":all:", PACKAGE]
-    loaded = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    loaded = run(*command, cwd=folder, timeout_s=300)
     if loaded.returncode != 0:
         pytest.skip(f"PyPI cannot be reached: {loaded.stderr.strip().splitlines()[-1]}")
     (archive,) = folder.glob("*.tar.gz")
@@ -85,14 +85,7 @@ def test_the_tests_of_roslibpy_pass(
     with fibonacci(server.url):
         for path in (source / "conftest.py", *(source / dialect).glob("*.py")):
             (tmp_path / path.name).write_text(path.read_text().replace(PORT, str(server.port)))
-        done = subprocess.run(
-            [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull, "--rootdir", "."],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=200,
-            check=False,
-            env={**os.environ, "ROSLIBPY_TRANSPORT": transport},
-        )
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull, "--rootdir", "."]
+        done = run(*command, cwd=tmp_path, timeout_s=200, env={**os.environ, "ROSLIBPY_TRANSPORT": transport})
     assert done.returncode == 0, done.stdout
     assert "25 passed" in done.stdout

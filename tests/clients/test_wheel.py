@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from harness.waiting import TIMEOUT_S
 from tests.helpers.programs import UV, run
 
 ROOT = Path(__file__).parents[2]
@@ -149,15 +148,11 @@ def test_without_its_parts_it_is_not_built(checkout: Path, tmp_path: Path, parts
 
 def test_once_installed_the_server_finds_its_page(wheel: Path, tmp_path: Path) -> None:
     target = tmp_path / "installed"
-    subprocess.run(
-        [UV, "pip", "install", "--quiet", "--no-deps", "--target", target, wheel], check=True, timeout=TIMEOUT_S
-    )
+    run(UV, "pip", "install", "--quiet", "--no-deps", "--target", target, wheel, check=True)
     program = (
         f"import sys; sys.path.insert(0, {str(target)!r})\n"
         "from server.gateway import http\n"
         "print(http.find_page_file(http.PAGE_DIRECTORY, 'assets/vendor.js').read_text())\n"
     )
-    found = subprocess.run(
-        [sys.executable, "-P", "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60
-    )
+    found = run(sys.executable, "-P", "-c", program, cwd=tmp_path)
     assert found.stdout == "built\n"

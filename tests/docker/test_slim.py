@@ -1,13 +1,11 @@
 """Taking out of an environment what a running server never loads."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from docker import slim
-from harness.waiting import TIMEOUT_S
+from tests.helpers.programs import run_python
 from tests.helpers.source import ROOMS, imports, paths
 
 
@@ -79,9 +77,7 @@ def test_it_tells_how_much_each_step_has_saved(packages: Path, capsys: pytest.Ca
 
 def test_of_scipy_nothing_goes_that_the_planners_load_or_ours_import() -> None:
     program = "import sys, scipy.spatial, scipy.sparse.csgraph; print(*sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=TIMEOUT_S, check=True
-    )
+    done = run_python(program)
     loaded = {name.split(".")[1] for name in done.stdout.split() if name.startswith("scipy.")}
     assert {"spatial", "sparse"} <= loaded
     assert loaded & set(slim.SCIPY) == set()

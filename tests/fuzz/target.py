@@ -23,9 +23,8 @@ from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.gateway.client import Client
 from server.gateway.client_context import ClientContext, Gateway
-from server.gateway.turns import ClientScheduling, Turns, encode_or_log
-from server.graph.node import Node
-from server.graph.permissions import ANYONE, Identity, Role
+from server.gateway.turns import Turns, encode_or_log
+from server.graph.permissions import ANYONE, Identity, Node, Role
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.helpers.clock import FakeClock
@@ -85,8 +84,8 @@ class World:
         tokens = {f"{role}_tokens": {role: token} for role, token in zip(roles, TOKENS, strict=True)}
         settings = AccessSettings.model_validate({"control": "shared", **tokens})
         self.access = Access(settings, self.clock, self.clock, lambda: None)
-        scheduling = ClientScheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
-        self.gateway = Gateway(self.graph, self.access, AuthThrottle(self.clock), scheduling)
+        turns = Turns(lambda callback: callback(), self.clock, AtOnce(), self.clock.call_later)
+        self.gateway = Gateway(self.graph, self.access, AuthThrottle(self.clock), turns)
         self.sockets: dict[int, UnreadSocket] = {}
         self.clients = [self._enter(number) for number in range(len(CLIENTS))]
 

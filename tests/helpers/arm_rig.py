@@ -92,18 +92,16 @@ STEPS_A_TICK = 4
 
 
 def unread_hardware(
-    emulator: SteppedEmulator, config: SerialConfig | EmulatedConfig = METAL, limits: GuardLimits | None = None
+    emulator: Any,
+    config: SerialConfig | EmulatedConfig = METAL,
+    limits: GuardLimits | None = None,
+    *,
+    family: Callable[[], Any] = Feetech,
+    bounds: JointBounds = BOUNDS,
 ) -> ServoHardware:
     """Hardware that was neither found nor read."""
-    return ServoHardware(
-        Feetech(),
-        emulator.open_bus(),
-        config.calibration,
-        BOUNDS,
-        limits or GuardLimits(),
-        emulator.clock,
-        simulated=config.simulated,
-    )
+    opened, limits, simulated = emulator.open_bus(), limits or GuardLimits(), config.simulated
+    return ServoHardware(family(), opened, config.calibration, bounds, limits, emulator.clock, simulated=simulated)
 
 
 class ServosInUse:
@@ -138,6 +136,8 @@ class ArmRig:
     With an ideal arm for ``hardware`` it drives that, and the servos are only there.
     """
 
+    _unread = staticmethod(unread_hardware)
+
     def __init__(self, emulator: SteppedEmulator | None = None, **settings: Any) -> None:
         self.emulator = emulator or SteppedEmulator(wire_time=False)
         self.clock = self.emulator.clock
@@ -168,7 +168,7 @@ class ArmRig:
         if isinstance(config.hardware, IdealConfig):
             return IdealArm(config.hardware, NAMES, BOUNDS, self.clock)
         assert isinstance(config.hardware, SerialConfig | EmulatedConfig)
-        return unread_hardware(self.emulator, config.hardware, config.guard_limits)
+        return self._unread(self.emulator, config=config.hardware, limits=config.guard_limits)
 
     @property
     def mode(self) -> Mode:

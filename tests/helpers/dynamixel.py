@@ -1,5 +1,6 @@
 """Emulated Dynamixel servos of a Koch v1.1 in the test's own process and time, and a supervisor on them."""
 
+from functools import partial
 from typing import Any, cast
 
 from robot.calibration import Calibration, JointCalibration
@@ -12,8 +13,6 @@ from robot.emulator.feetech import emulated_feetech_arm
 from robot.hardware.config import EmulatedConfig, SerialConfig
 from robot.hardware.dynamixel.family import Bus, Dynamixel
 from robot.hardware.dynamixel.registers import Register
-from robot.hardware.interface import HardwareInterface
-from robot.hardware.servos.hardware import ServoHardware
 from robot.messages import GuardLimits
 from tests.helpers import arm_rig
 from tests.helpers.arm_rig import ArmRig, ServosInUse
@@ -86,12 +85,15 @@ class SteppedDynamixels:
         return sum(servo.writes for servo in self.servo_bus.servos)
 
 
+unread_hardware = partial(arm_rig.unread_hardware, config=METAL, family=Dynamixel, bounds=BOUNDS)
+
+
 class DynamixelsInUse(ServosInUse):
     """Hardware that takes emulated servos for real ones."""
 
     def __init__(self, emulator: SteppedDynamixels | None = None, config: SerialConfig = METAL) -> None:
         emulator = emulator or SteppedDynamixels()
-        super().__init__(emulator, unread_hardware(emulator, config))
+        super().__init__(emulator, unread_hardware(emulator, config=config))
 
     def hold_for(self, seconds: float) -> None:
         """Tick as the controller does while it holds: the goals are written again and again."""
@@ -101,36 +103,15 @@ class DynamixelsInUse(ServosInUse):
             self.hardware.write_goals(goal_rad)
 
 
-def unread_hardware(
-    emulator: SteppedDynamixels,
-    config: SerialConfig | EmulatedConfig = METAL,
-    limits: GuardLimits | None = None,
-    bounds: JointBounds = BOUNDS,
-) -> ServoHardware:
-    """Hardware that was neither found nor read."""
-    return ServoHardware(
-        Dynamixel(),
-        emulator.open_bus(),
-        config.calibration,
-        bounds,
-        limits or GuardLimits(),
-        emulator.clock,
-        simulated=config.simulated,
-    )
-
-
 class DynamixelRig(ArmRig):
     """A supervisor on emulated servos, which it takes for real ones unless ``hardware`` says otherwise."""
+
+    _unread = staticmethod(unread_hardware)
 
     def __init__(self, dynamixels: SteppedDynamixels | None = None, **settings: Any) -> None:
         self.dynamixels = dynamixels or SteppedDynamixels()
         settings = {"robot": ROBOT, "hardware": METAL, **settings}
         super().__init__(cast("Any", self.dynamixels), **settings)
-
-    def _hardware(self) -> HardwareInterface:
-        config = self.config
-        assert isinstance(config.hardware, SerialConfig | EmulatedConfig)
-        return unread_hardware(self.dynamixels, config.hardware, config.guard_limits)
 
     def torque(self) -> list[int]:
         """Register TORQUE_ENABLE of every servo."""

@@ -26,9 +26,8 @@ from server.gateway.client_context import ClientContext, Gateway
 from server.gateway.http import HttpHandler
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
-from server.gateway.turns import ClientScheduling, Turns, encode_or_log
-from server.graph.node import Node
-from server.graph.permissions import ANYONE, Identity
+from server.gateway.turns import Turns, encode_or_log
+from server.graph.permissions import ANYONE, Identity, Node
 from server.graph.topics import Graph
 from server.rosapi import RosApi
 from tests.conformance.cases import INTERFACES
@@ -107,8 +106,8 @@ class InProcess:
             arms=dict.fromkeys(arms, lambda: self.busy),
         )
         self.throttle = AuthThrottle(self.clock)
-        scheduling = ClientScheduling(Turns(lambda callback: callback(), self.clock), AtOnce(), self.clock.call_later)
-        self._gateway = Gateway(self.graph, self.access, self.throttle, scheduling, limits=limits or Limits())
+        turns = Turns(lambda callback: callback(), self.clock, AtOnce(), self.clock.call_later)
+        self._gateway = Gateway(self.graph, self.access, self.throttle, turns, limits=limits or Limits())
         self._sockets: dict[str, UnreadSocket] = {}
         self._clients: dict[str, Client] = {}
         self._frames: dict[str, deque[Frame]] = {}

@@ -4,7 +4,7 @@ import asyncio
 from typing import Any
 
 from harness.waiting import TIMEOUT_S
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from protocol.messages import Stamp
 from protocol.registry import TEXTS, Field, MessageType, Registry
 from protocol.values import INTEGER_RANGES
 
@@ -17,6 +18,11 @@ MESSAGE_TYPES = [name for name in REGISTRY.type_names() if REGISTRY.knows(name)]
 
 # Of each width in UTF-8; zero, which ends text in C, among them.
 CHARACTERS = "a\x00 ü€😀"
+
+
+def time_message(seconds: float) -> dict[str, int]:
+    """A builtin_interfaces/Time, or a Duration."""
+    return Stamp.from_seconds(seconds).as_message()
 
 
 def made_up(registry: Registry, type_name: str, seed: int) -> dict[str, Any]:

@@ -25,10 +25,10 @@ from server.execution.goal import Answer, GoalPolicy
 from server.execution.monitors import CurrentState
 from server.execution.queue import GoalListener, GoalQueue
 from server.graph.actions import ActionGoal, Result
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.moveit.display import DisplayTopics
-from server.moveit.goals.goal_messages import GoalTranslator
+from server.moveit.goals.goal_topics import GoalTranslator
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import RequestContext

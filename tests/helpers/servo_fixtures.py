@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -11,17 +12,22 @@ from robot.hardware.feetech.bus import Bus
 from tests.helpers.emulator import SteppedEmulator
 
 
-@pytest.fixture
-def start_emulator() -> Iterator[Callable[..., SteppedEmulator]]:
-    """Starts emulated servos in the test's own process and time."""
+def starting(kind: Callable[..., Any]) -> Iterator[Callable[..., Any]]:
+    """Starts emulated servos of a kind, and ends them."""
     with contextlib.ExitStack() as running:
 
-        def start(*options: str) -> SteppedEmulator:
-            emulator = SteppedEmulator(*options)
+        def start(*options: str) -> Any:
+            emulator = kind(*options)
             running.callback(emulator.end)
             return emulator
 
         yield start
+
+
+@pytest.fixture
+def start_emulator() -> Iterator[Callable[..., SteppedEmulator]]:
+    """Starts emulated servos in the test's own process and time."""
+    yield from starting(SteppedEmulator)
 
 
 @pytest.fixture
@@ -32,14 +38,7 @@ def emulator(start_emulator: Callable[..., SteppedEmulator]) -> SteppedEmulator:
 @pytest.fixture
 def start_terminal() -> Iterator[Callable[..., RunningEmulator]]:
     """Starts emulated servos as a process on a pseudo terminal, in real time."""
-    with contextlib.ExitStack() as running:
-
-        def start(*options: str) -> RunningEmulator:
-            emulator = RunningEmulator(*options)
-            running.callback(emulator.end)
-            return emulator
-
-        yield start
+    yield from starting(RunningEmulator)
 
 
 @pytest.fixture

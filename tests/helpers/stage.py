@@ -31,7 +31,7 @@ from server.features.arms import ArmControl, CommissioningOfArms, PolicyChunks, 
 from server.features.context import context_of
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
 from server.features.parking import Parkings
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.teaching.taught_motion import TaughtMotion
 from tests.helpers.arm_rig import BOUNDS, NAMES, ArmRig

@@ -22,7 +22,7 @@ from harness.waiting import TIMEOUT_S, until
 from protocol.publication import PublishedMessage
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.services import Call
 from server.graph.topics import Graph, Subscriber
 from server.zenoh.bridge import Bridge

@@ -4,13 +4,12 @@ lerobot needs torch, and an environment of its own: ``make test-lerobot`` makes 
 """
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.lerobot.test_robot import BIN, COMMAND_TIMEOUT_S, OFFLINE, SCENARIO, pytestmark
+from tests.lerobot.test_robot import SCENARIO, lerobot, pytestmark
 from tests.server.datasets.conftest import in_order
 from tests.server.datasets.test_export import MARKED, exported
 from tests.server.recordings import record
@@ -21,16 +20,8 @@ __all__ = ["pytestmark"]
 def edit(*commands: tuple[object, ...]) -> list[Any]:
     """Carry out commands of armbridge-dataset, or open a dataset; return what each has printed."""
     arguments = json.dumps([[str(each) for each in command] for command in commands])
-    done = subprocess.run(
-        [str(BIN / "python"), str(SCENARIO), "edit", arguments],
-        capture_output=True,
-        text=True,
-        timeout=COMMAND_TIMEOUT_S,
-        check=False,
-        env=OFFLINE,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    return [json.loads(line) for line in done.stdout.splitlines() if line.startswith(("{", "["))]
+    printed = lerobot("python", SCENARIO, "edit", arguments)
+    return [json.loads(line) for line in printed.splitlines() if line.startswith(("{", "["))]
 
 
 @pytest.fixture

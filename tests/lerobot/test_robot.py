@@ -20,6 +20,7 @@ from armbridge_client import Arm, connect
 from armbridge_client.messages import ActionChunkAnswer, Header, JointState, KinematicSolverInfo, Time
 from harness.server import FAST, FAST_ARMS, ROOT, RunningServer, free_port
 from harness.waiting import running, wait_until
+from tests.helpers.programs import run
 
 BIN = ROOT / "build" / "lerobot" / "bin"
 SCENARIO = Path(__file__).with_name("robot_scenario.py")
@@ -83,17 +84,11 @@ def camera(port: int) -> Iterator[None]:
         yield
 
 
-def lerobot(command: str, *options: str) -> str:
-    done = subprocess.run(
-        [str(BIN / command), *options],
-        capture_output=True,
-        text=True,
-        timeout=COMMAND_TIMEOUT_S,
-        check=False,
-        env=OFFLINE,
-    )
+def lerobot(command: str, *options: str | Path) -> str:
+    """What a command of lerobot's environment prints."""
+    done = run(BIN / command, *options, timeout_s=COMMAND_TIMEOUT_S, env=OFFLINE)
     assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
-    return done.stdout + done.stderr
+    return done.stderr + done.stdout
 
 
 def robot(port: int, *, with_camera: bool = True) -> list[str]:
@@ -135,15 +130,7 @@ def test_a_dataset_of_two_episodes_holds_what_the_arm_did_in_lerobots_units(data
     info = json.loads((dataset / "meta" / "info.json").read_text())
     assert info["total_episodes"] == EPISODES
     assert info["features"]["observation.images.front"]["shape"] == [240, 320, 3]
-    done = subprocess.run(
-        [str(BIN / "python"), str(SCENARIO), "dataset", str(dataset)],
-        capture_output=True,
-        text=True,
-        timeout=COMMAND_TIMEOUT_S,
-        check=True,
-        env=OFFLINE,
-    )
-    figures = json.loads(done.stdout.splitlines()[-1])
+    figures = json.loads(lerobot("python", SCENARIO, "dataset", dataset).splitlines()[-1])
     # The leader swings by 0.3 rad; the gripper is in percent of its range.
     assert figures["action"]["shoulder_pan.pos"] == pytest.approx(math.degrees(0.3), abs=2.0)
     assert 0.0 <= figures["lowest"]["gripper.pos"] <= figures["highest"]["gripper.pos"] <= 100.0
@@ -257,15 +244,7 @@ def test_a_policy_that_does_not_fit_the_robot_is_refused(
 ) -> None:
     missing = tmp_path / "nothing"
     command = [BIN / "armbridge-policy", *robot(server.port, with_camera=False), f"--policy={policy}"]
-    done = subprocess.run(
-        [*command, option.format(missing=missing)],
-        capture_output=True,
-        text=True,
-        timeout=COMMAND_TIMEOUT_S,
-        check=False,
-        env=OFFLINE,
-        cwd=tmp_path,
-    )
+    done = run(*command, option.format(missing=missing), timeout_s=COMMAND_TIMEOUT_S, env=OFFLINE, cwd=tmp_path)
     assert done.returncode != 0
     assert sentence.format(missing=missing) in done.stderr.splitlines()[-1]
 

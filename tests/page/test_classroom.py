@@ -1,12 +1,6 @@
 """The wall of a class: the teacher's page shows every student's arm, stops one, and ends its fault."""
 
-import csv
-import os
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser
@@ -14,34 +8,15 @@ from websockets.sync.client import connect
 
 from harness.clients import call_on, goal
 from harness.page import opened
-from harness.server import FAST, ROOT
-from harness.waiting import TIMEOUT_S
+from tests.helpers.classroom import Room
 
 
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, tuple[str, str]]]:
     """Address and token of two students and the teacher by name, of a classroom that runs."""
-    folder = tmp_path_factory.mktemp("lab")
-    command = [sys.executable, "-m", "server.cli", "classroom", "--students", "2", "--port", "0", "--data", str(folder)]
-    with subprocess.Popen(
-        command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT), **FAST}, stderr=subprocess.PIPE, text=True
-    ) as process:
-        overdue = threading.Timer(TIMEOUT_S, process.kill)
-        overdue.start()
-        assert process.stderr is not None
-        lines: list[str] = []
-        while not lines or "the classroom is ready" not in lines[-1]:
-            lines.append(process.stderr.readline())
-            assert lines[-1], "the classroom did not start:\n" + "".join(lines)
-        overdue.cancel()
-        yield _places(folder)
-        process.terminate()
-        process.communicate(timeout=TIMEOUT_S)
-
-
-def _places(folder: Path) -> dict[str, tuple[str, str]]:
-    with (folder / "students.csv").open(newline="") as lines:
-        return {row["name"]: (row["url"], row["token"]) for row in csv.DictReader(lines)}
+    room = Room(tmp_path_factory.mktemp("lab"), 2)
+    yield room.places
+    room.end()
 
 
 def test_the_teacher_sees_every_arm_and_stops_one(browser: Browser, places: dict[str, tuple[str, str]]) -> None:

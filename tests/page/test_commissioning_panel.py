@@ -221,17 +221,6 @@ def test_cancel_is_in_sight_wherever_the_panel_is_scrolled_and_with_its_section_
     assert until_called(page, procedures, "cancel") == {}
 
 
-def test_a_page_that_is_loaded_again_shows_the_procedure_in_progress(
-    page: OpenPage, procedures: ScriptedProcedures
-) -> None:
-    procedures.publish(**SWEEP, joints=[joint("wrist_roll", 0, 2047, 4095)])
-    page.until_text("instruction", "Move every joint.")
-    page.page.reload()
-    page.until_text("instruction", "Move every joint.")
-    page.until_text("swept-wrist_roll-ticks", "0 … 2047 … 4095")
-    assert page.part("answer-0").is_visible()
-
-
 def test_findings_and_the_result_are_told_when_the_procedure_is_over(
     page: OpenPage, procedures: ScriptedProcedures
 ) -> None:

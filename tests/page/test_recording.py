@@ -18,6 +18,7 @@ from protocol.codecs import cdr
 from server.errors import RecordingError
 from server.interfaces import load_registry
 from server.recording.bags import messages
+from tests.helpers.messages import time_message
 from tests.page.test_cameras import TOPIC, TYPE, picture
 
 LEADER = "/leader/joint_states"
@@ -61,9 +62,8 @@ def published(
         with connect(server.url) as client:
             client.send(json.dumps({"op": "advertise", "topic": topic, "type": type_name}))
             while not ended.wait(period_s):
-                sec, nanosec = divmod(time.time_ns() - round(delay_s * 1e9), 1_000_000_000)
                 swing = {"name": ["shoulder_pan"], "position": [0.2 * math.sin(time.monotonic())]}
-                msg = {"header": {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": ""}}
+                msg = {"header": {"stamp": time_message(time.time() - delay_s), "frame_id": ""}}
                 msg |= picture(32, "jpeg") if type_name == TYPE else swing
                 client.send(json.dumps({"op": "publish", "topic": topic, "msg": msg}))
 

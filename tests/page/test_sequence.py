@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from websockets.sync.client import connect
 from harness.clients import call, tip
 from harness.page import PATIENCE_MS, SHARED, OpenPage, opened
 from harness.server import FAST, ROOT, RunningServer
+from tests.helpers.programs import run
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 
@@ -340,7 +340,7 @@ def run_program(server: RunningServer, *command: str) -> None:
     """Run an exported program, and see the arm go through the waypoints."""
     move(server, PLACES[2])
     with watched(server) as until:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+        done = run(*command, timeout_s=PATIENCE_S)
         assert done.returncode == 0, done.stderr
         assert done.stdout.splitlines() == ["1", 'the "second"', "3"]
         # The tip ends a straight leg in the nearest orientation, so that joints may differ there.
@@ -366,8 +366,7 @@ def test_a_program_ends_with_the_reason_when_a_leg_is_not_possible(
     pytest.importorskip("roslibpy")
     load(page, waypoint(COLLIDING))
     program = page.download("export-python", tmp_path)
-    command = (sys.executable, str(program), server.url)
-    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    done = run(sys.executable, program, server.url, timeout_s=PATIENCE_S)
     assert done.returncode == 1
     assert "shoulder_link and lower_arm_link" in done.stderr
     # A sentence, without a traceback.

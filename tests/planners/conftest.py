@@ -50,6 +50,15 @@ def changing(own_collision):
     own_collision.set_scene(EMPTY_SCENE)
 
 
+@pytest.fixture
+def space_in(changing, arm):
+    def build(surroundings, **arguments):
+        assert changing.set_scene(surroundings) is None
+        return JointSpace(changing, arm.joints, np.zeros(6), **arguments)
+
+    return build
+
+
 @pytest.fixture(scope="session")
 def goal_states(robot, collision):
     return GoalStates(robot, collision)

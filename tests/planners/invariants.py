@@ -60,6 +60,16 @@ def assert_keeps_rates(trajectory, limits, excess=1e-6):
     assert np.max(np.abs(accelerations) / limits.acceleration_rad_s2) <= 1.0 + excess
 
 
+def least_time_of_line_s(way_rad, limits):
+    """Least time from rest to rest along a straight line."""
+    share = np.maximum(np.abs(way_rad), 1e-9)
+    # Joints keep to the line, so the tightest velocity and acceleration may be those of different joints.
+    velocity, acceleration = np.min(limits.velocity_rad_s / share), np.min(limits.acceleration_rad_s2 / share)
+    if velocity**2 > acceleration:
+        return 2.0 * np.sqrt(1.0 / acceleration)
+    return 1.0 / velocity + velocity / acceleration
+
+
 def assert_keeps_positions(trajectory, lower_rad, upper_rad):
     assert np.all(trajectory.positions_rad >= lower_rad)
     assert np.all(trajectory.positions_rad <= upper_rad)

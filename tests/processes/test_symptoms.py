@@ -15,6 +15,7 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 from websockets.sync.client import ClientConnection, connect
 
+from harness.clients import call_on
 from harness.emulator import RunningEmulator
 from harness.server import ROOT, RunningServer, ServerOnBus, server_on_bus
 from harness.waiting import TIMEOUT_S, wait_until
@@ -218,25 +219,6 @@ def test_a_joint_that_meets_a_stop_pushes_in_vain(
     assert_said(symptom, fault_of(rig))
 
 
-@pytest.mark.parametrize("latches", [False, True])
-def test_a_gripper_that_is_squeezed_too_hard_has_cut_its_torque_and_may_need_a_power_cut(
-    servos: SteppedEmulator, latches: bool
-) -> None:
-    rig = ArmRig(servos).started()
-    servos.command(overload_latches=[GRIPPER] if latches else [])
-    store(servos, Register.OVERLOAD_TORQUE, 25, GRIPPER)
-    # A hand, or a program that grips on, loads the gripper for longer than the protection of its servo bears.
-    servos.command(push={str(GRIPPER): 300})
-    assert_said("The gripper stops after two seconds", fault_of(rig))
-    servos.command(push={str(GRIPPER): 0})
-    rig.run(5.0)
-    answer = rig.order(Order.RESET_FAULT)
-    assert answer.done is not latches
-    if latches:
-        assert_said("A servo answers every instruction with an error", answer.message)
-        assert "switch the servos' supply off and on" in answer.message
-
-
 def test_a_hot_gripper_is_a_warning_first_and_then_a_fault(servos: SteppedEmulator) -> None:
     rig = ArmRig(servos).started()
     servos.command(temperature={str(GRIPPER): 57})
@@ -244,12 +226,6 @@ def test_a_hot_gripper_is_a_warning_first_and_then_a_fault(servos: SteppedEmulat
     assert any("warm: 57 degC" in warning.sentence for joint in rig.health.joints for warning in joint.warnings)
     servos.command(temperature={str(GRIPPER): 66})
     assert_said("The gripper is hot", fault_of(rig))
-
-
-def test_a_rewritten_homing_offset_refuses_torque_with_both_remedies() -> None:
-    told = refused_at_start(SteppedEmulator("--population", "ros2_driver", wire_time=False))
-    assert_said("The zero has shifted", told)
-    assert "elbow_flex (id 3) by 17.9 deg (204 instead of 0 ticks)" in told
 
 
 def test_an_arm_that_lerobot_has_driven_is_unlocked_and_otherwise_well() -> None:
@@ -325,17 +301,8 @@ def test_a_server_whose_servos_another_program_has_shifted_refuses_to_enable_the
     with RunningServer(f"--port 0 --serial {port} --calibration {file}") as server, connect(server.url) as client:
         assert_said("The zero has shifted", enabling(client))
         # Refused for the same reason after a reset, which asks the servos anew.
-        call(client, "/arm/reset_fault")
+        call_on(client, "/arm/reset_fault")
         assert_said("The zero has shifted", enabling(client))
-
-
-def call(client: ClientConnection, service: str) -> dict[str, Any]:
-    """Call a service of the arm; return its answer."""
-    client.send(json.dumps({"op": "call_service", "service": service, "id": service}))
-    while (answer := json.loads(client.recv(timeout=TIMEOUT_S)))["op"] != "service_response":
-        pass
-    values: dict[str, Any] = answer["values"]
-    return values
 
 
 def enabling(client: ClientConnection) -> str:
@@ -343,7 +310,7 @@ def enabling(client: ClientConnection) -> str:
     answer: dict[str, Any] = {}
 
     def are_checked() -> bool:
-        answer.update(call(client, "/arm/enable"))
+        answer.update(call_on(client, "/arm/enable"))
         return "still being checked" not in answer["message"]
 
     wait_until(are_checked)
@@ -381,7 +348,9 @@ def test_a_client_reads_the_sentence_and_after_the_remedy_resets_the_fault(
         simulation.emulator.command(**commands)
         assert_said(symptom, await_state(watching, LEVEL_ERROR))
         simulation.emulator.command(**remedy)
-        wait_until(lambda: call(calling, "/arm/reset_fault")["success"] and call(calling, "/arm/enable")["success"])
+        wait_until(
+            lambda: call_on(calling, "/arm/reset_fault")["success"] and call_on(calling, "/arm/enable")["success"]
+        )
 
 
 def await_state(client: ClientConnection, level: int) -> str:

@@ -3,9 +3,9 @@ from typing import Any
 import pytest
 
 from protocol.dialect import to_ros1
-from server.actionlib import MAX_GOALS, ActionlibBridge, ActionlibStatus, has_actionlib_types
+from server.actionlib import MAX_GOALS, ActionlibStatus, bridge_actions, has_actionlib_types
 from server.graph.actions import ActionGoal, GoalStatus
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock
 from tests.helpers.messages import REGISTRY
@@ -25,7 +25,7 @@ class Stage:
         server = Node("server")
         for name, type_name in ((MOVE, MOVE_TYPE), (FOLLOW, FOLLOW_TYPE)):
             self.graph.actions.offer(server, name, type_name, self.goals.append)
-        ActionlibBridge(self.graph, self.clock, self.clock.call_later).open((MOVE, FOLLOW, "/nobody/offers/this"))
+        bridge_actions(self.graph, (MOVE, FOLLOW, "/nobody/offers/this"), self.clock, self.clock.call_later)
         self.client = Node("client", remote=True)
         for name in (MOVE, FOLLOW):
             for part in ("status", "feedback", "result"):

@@ -113,11 +113,6 @@ def test_a_wrong_setting_is_named_with_its_limit_and_value(file: Path) -> None:
             load(file, {})
 
 
-def test_a_file_that_does_not_exist_is_named(file: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"armbridge.toml cannot be read"):
-        load(file, {})
-
-
 def test_the_source_of_each_setting_is_known(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text("[server]\nport = 1\n[arm.zero_offset_rad]\nelbow_flex = 0.1\n")
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")

@@ -61,13 +61,6 @@ def test_an_arm_its_simulation_and_each_set_of_arms_keep_a_scene_of_their_own(se
     assert kept_scene_path(Settings.model_validate(settings), ROBOT).name == name
 
 
-def test_states_of_an_unknown_kind_are_set_aside_and_kept(tmp_path: Path) -> None:
-    states = tmp_path / "named_states.json"
-    states.write_text('{"states": [{"name": "tray"}]}')
-    assert NamedStates(ROBOT, "arm", states).saved == {}
-    assert (tmp_path / "named_states.json.broken").read_text() == '{"states": [{"name": "tray"}]}'
-
-
 def test_a_new_file_is_kept_though_the_clock_that_names_it_was_set_back(tmp_path: Path) -> None:
     series = FileSeries(tmp_path, "fault-", ".jsonl", 3)
     for name in ("2046", "2047", "2048", "2026", "2027"):

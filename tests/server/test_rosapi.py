@@ -6,8 +6,7 @@ import pytest
 from protocol.dialect import Dialect
 from server import rosapi
 from server.errors import ServiceError
-from server.graph.node import Node
-from server.graph.permissions import NameFilter
+from server.graph.permissions import NameFilter, Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
 from server.rosapi import DONE, MAX_PARAMETER_BYTES, Parameters, Request, RosApi

@@ -20,6 +20,7 @@ from server.config import Settings
 from server.moveit.parameters import MoveItParameters
 from server.teaching.taught_motion import TaughtMotion
 from tests.helpers.arm_rig import BOUNDS, NAMES
+from tests.helpers.messages import time_message
 from tests.helpers.moveit import FORWARD, ROBOT
 from tests.helpers.stage import ARM_JOINTS, DEFAULTS, RigArm, ServerStage, inline_threads
 from tests.helpers.stage import REQUESTS as SHARED_REQUESTS
@@ -48,9 +49,9 @@ def follow(stage: ServerStage) -> None:
 
     async def lead() -> None:
         for at_s in np.arange(0.0, TRIAL_S, 0.02).tolist():
-            stamp = {"sec": 5 + int(at_s), "nanosec": round(at_s % 1.0 * 1e9)}
             pan_rad = 0.1 + min(max(at_s - 2.0, 0.0), 1.2)
-            sample = {"header": {"stamp": stamp}, "name": ["shoulder_pan"], "position": [pan_rad]}
+            header = {"stamp": time_message(5.0 + at_s)}
+            sample = {"header": header, "name": ["shoulder_pan"], "position": [pan_rad]}
             stage.publish("/glove", "sensor_msgs/JointState", sample)
             await asyncio.sleep(0.02)
 

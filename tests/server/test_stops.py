@@ -21,7 +21,7 @@ from robot.trajectory import Trajectory
 from server import arrival
 from server.arrival import arrived_in
 from server.errors import GraphError
-from server.graph.node import Node
+from server.graph.permissions import Node
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.stage import CHUNK, REQUESTS, ServerStage, follow, inline_threads
 

@@ -3,7 +3,8 @@
 import asyncio
 import functools
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, Progress
@@ -36,17 +37,26 @@ def submit_goal(
     return queued
 
 
-def answer_of_task(done: asyncio.Task[Answer]) -> Answer:
-    if done.cancelled():
-        return Answer(MoveItErrorCode.PREEMPTED, "cancelled while planning")
-    error = done.exception()
-    if error is not None:
-        log.error("planning for an action failed", exc_info=error)
-        return Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
-    answer = done.result()
-    if answer.code is not MoveItErrorCode.SUCCESS:
-        log.warning("a plan was asked for: %s: %s", answer.code.name, answer.message)
-    return answer
+def plan_without_moving(
+    work: Coroutine[Any, Any, Answer], name: str, end: Callable[[Answer], object]
+) -> Callable[[str], object]:
+    """Call ``end`` with the answer of some planning; return the function that cancels it."""
+
+    def take(done: asyncio.Task[Answer]) -> None:
+        if done.cancelled():
+            answer = Answer(MoveItErrorCode.PREEMPTED, "cancelled while planning")
+        elif (error := done.exception()) is not None:
+            log.error("planning for an action failed", exc_info=error)
+            answer = Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
+        else:
+            answer = done.result()
+            if answer.code is not MoveItErrorCode.SUCCESS:
+                log.warning("a plan was asked for: %s: %s", answer.code.name, answer.message)
+        end(answer)
+
+    task = asyncio.create_task(work, name=f"plan for {name}")
+    task.add_done_callback(take)
+    return lambda _reason: task.cancel()
 
 
 def cancel_with_goal(goal: ActionGoal, cancel: Callable[[str], object]) -> None:

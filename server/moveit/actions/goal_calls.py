@@ -4,7 +4,6 @@ A request has one goal of those that ``/moveit_goal_*`` take, and goes their way
 confirmation and status. The answer comes at the end of the motion.
 """
 
-import asyncio
 import functools
 import logging
 from collections.abc import Callable, Mapping
@@ -14,27 +13,27 @@ from typing import Any
 from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
 from server.errors import RefusedError, invalid, refused
+from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
-from server.execution.motions import Performed, PlannedMotion
+from server.execution.motions import PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.permissions import CALLED_GOAL
+from server.graph.permissions import CALLED_GOAL, Node
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
-from server.moveit.actions.goal_bridge import answer_of_task, cancel_with_goal, goal_status
+from server.graph.topics import LocalGraph
+from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status, plan_without_moving
 from server.moveit.actions.move_group import plan_steps
-from server.moveit.goals.goal_messages import (
+from server.moveit.goals.goal_topics import (
     JOINTS_TOPIC,
     NAMED_TOPIC,
     POSE_TOPIC,
     TARGET_FIELDS,
     GoalTranslator,
+    details_as_json,
     suggestion,
 )
-from server.moveit.goals.goal_topics import Confirmation, details_as_json
 from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
 
@@ -59,17 +58,16 @@ class GoalCalls:
         confirmation: Confirmation,
         context: PlanningContext,
     ) -> None:
-        self._graph = graph
         self._queue = queue
         self._translator = translator
         self._confirmation = confirmation
         self._context = context
-        self._node = Node("moveit goal")
-        self._name = graph.resolve(NAME)
+        self._node = graph.node("moveit goal")
+        self._name = self._node.resolve(NAME)
         lists = ("name", "position", "velocity", "effort")
         limits = ListLimits({f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in lists})
-        self._graph.offer_calls(self._node, NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits, rule=CALLED_GOAL)
-        self._graph.offer_action(self._node, NAME, ACTION_TYPE, self._start, limits, rule=CALLED_GOAL)
+        self._node.offer_calls(NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits, rule=CALLED_GOAL)
+        self._node.offer_action(NAME, ACTION_TYPE, self._start, limits, rule=CALLED_GOAL)
 
     def _call(self, call: Call) -> None:
         def ended(response: Response) -> None:
@@ -128,9 +126,8 @@ class GoalCalls:
             log.warning("%s: %s", self._name, warning)
         if request["plan_only"]:
             report(Progress(GoalState.PLANNING, "planning"))
-            task = asyncio.create_task(self._plan(motion, client), name=f"plan for {self._name}")
-            task.add_done_callback(lambda done: end(self._result(message, answer_of_task(done))))
-            return lambda _reason: task.cancel()
+            work = self._plan(motion, client)
+            return plan_without_moving(work, self._name, lambda answer: end(self._result(message, answer)))
         motion = replace(motion, confirm=proposed or self._confirmation.enabled, proposed=proposed)
         # A proposal neither preempts a motion nor is refused for one.
         policy = GoalPolicy.QUEUE if proposed else None
@@ -145,7 +142,7 @@ class GoalCalls:
     async def _plan(self, motion: PlannedMotion, client: Node) -> Answer:
         """Plan from where the arm is, whatever it does meanwhile."""
         await self._context.scene_state.settled()
-        state = self._graph.message_types.complete("moveit_msgs/msg/RobotState", {})
+        state = self._node.message_types.complete("moveit_msgs/msg/RobotState", {})
         try:
             start = self._context.start(state, client)
         except RefusedError as error:
@@ -154,7 +151,7 @@ class GoalCalls:
 
     def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
         instead = suggestion(message, answer.details, self._context.robot)
-        performed = answer.performed or Performed({})
+        performed = answer.performed
         motions = performed.planned if performed.executed is None else (performed.executed,)
         return {
             "success": answer.code is MoveItErrorCode.SUCCESS,

@@ -23,14 +23,13 @@ from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.arrival import is_stopped
 from server.errors import RefusedError, invalid
-from server.execution.goal import CancelScope, ExecutionDeadline, TimeLimits
+from server.execution.goal import BRAKING_TIMEOUT_S, CancelScope, ExecutionDeadline, MotionWatch, TimeLimits
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
-from server.execution.player import BRAKING_TIMEOUT_S, MotionsInProgress, MotionWatch
+from server.execution.motions import MotionsInProgress
 from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.list_limits import ListLimits
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
 from server.graph.permissions import GOAL
+from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal
 from server.moveit.messages import Message
 
@@ -369,7 +368,7 @@ def offer_gripper(graph: LocalGraph, gripper: Gripper) -> None:
             log.exception("a goal of %s failed", goal.action)
             goal.fail(f"internal error: {type(error).__name__}: {error}")
 
-    node, simple = Node("gripper"), GripperCommandMessages(gripper.joints)
+    node, simple = graph.node("gripper"), GripperCommandMessages(gripper.joints)
     kinds: tuple[ActionMessages, ...] = simple, simple, ParallelGripperCommandMessages(gripper.joints)
     for name, messages in zip(ACTIONS, kinds, strict=True):
-        graph.offer_action(node, name, messages.type_name, functools.partial(start, messages), ListLimits(), rule=GOAL)
+        node.offer_action(name, messages.type_name, functools.partial(start, messages), ListLimits(), rule=GOAL)

@@ -24,10 +24,8 @@ from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Me
 from server.execution.motions import ExternalTrajectory, Positions
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal, GoalStatus
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
 from server.graph.permissions import GOAL
-from server.graph.topics import Subscriber
+from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import goal_status, submit_goal
 from server.moveit.messages import Message
 from server.moveit.requests.planning_context import PlanningContext
@@ -115,7 +113,7 @@ class JointTrajectoryController:
         *,
         industrial: bool,
     ) -> None:
-        self._graph, self._group, self._arm, self._context = graph, group, arm, context
+        self._group, self._arm, self._context = group, arm, context
         self._robot, self._queue = context.planning.robot, context.queue
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
@@ -126,28 +124,26 @@ class JointTrajectoryController:
         self._stream = MessageStream(self._topic, context.clock)
         action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
-        node = self._node = Node(f"{group.name} controller")
+        node = self._node = graph.node(f"{group.name} controller")
         # ROS 2's name, and ROS 1's.
         self._state_topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
         for topic in self._state_topics:
-            graph.advertise(node, topic, STATE_TYPE)
+            node.advertise(topic, STATE_TYPE)
         # All fields, as a state has few of them, and is published with every state of the arm.
-        self._empty = graph.message_types.complete(STATE_TYPE, {}, graph.message_types.now())
+        self._empty = node.message_types.complete(STATE_TYPE, {}, node.message_types.now())
         for each in self.actions:
-            graph.offer_action(node, each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS, rule=GOAL)
-        check = TRAJECTORY_LIMITS.check(graph.message_types.registry, "trajectory_msgs/msg/JointTrajectory")
-        graph.subscribe(
-            node, self._topic, "trajectory_msgs/JointTrajectory", Subscriber(self._play, check_lists=check, rule=GOAL)
-        )
+            node.offer_action(each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS, rule=GOAL)
+        type_name = "trajectory_msgs/JointTrajectory"
+        node.subscribe(self._topic, type_name, self._play, limits=TRAJECTORY_LIMITS, rule=GOAL)
 
     def take_state(self, state: ArmState) -> None:
         """Check the tolerances of all goals against a state of the arm; publish it while there are subscribers."""
         for number, trajectory_goal in list(self._goals.items()):
             trajectory_goal.take_state(state, functools.partial(self._queue.cancel, number))
-        wanted = [topic for topic in self._state_topics if self._graph.subscribers(topic)]
+        wanted = [topic for topic in self._state_topics if self._node.subscribers(topic)]
         message = self._state_message(state) if wanted else None
         for topic in wanted if message is not None else ():
-            self._graph.publish(self._node, topic, message, prevalidated=True)
+            self._node.publish(topic, message, prevalidated=True)
 
     def _state_message(self, state: ArmState) -> dict[str, Any] | None:
         if state.goal_rad is None or state.position_rad is None or state.velocity_rad_s is None:
@@ -229,7 +225,7 @@ class JointTrajectoryController:
         """Make the motion of a trajectory, and check that it can be played from where the arm is now."""
         context, now_s = self._context, self._context.clock()
         check_duration(trajectory, context.time_limits)
-        starts_in_s = check_trajectory(trajectory, self._group, self._graph.message_types.wall_clock())
+        starts_in_s = check_trajectory(trajectory, self._group, self._node.message_types.wall_clock())
         last_s = read_seconds(trajectory["points"][-1]["time_from_start"], "trajectory.points[-1].time_from_start")
         context.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         # A client without a stamp has the stamp of its arrival.
@@ -290,13 +286,10 @@ class TrajectoryGoal:
     def take_answer(self, answer: Answer, state: ArmState) -> None:
         """End the goal by the queue's answer, after a success as soon as the arm is within the goal tolerances."""
         self.executing = False
-        performed = answer.performed
-        if answer.code is not MoveItErrorCode.SUCCESS or performed is None or not performed.planned:
+        if answer.code is not MoveItErrorCode.SUCCESS or not answer.performed.planned:
             self._finish(answer)
             return
-        last = performed.planned[-1]
-        end_rad = dict(zip(last.joint_names, last.positions_rad[-1].tolist(), strict=True))
-        self._settling = answer, end_rad, state.clock_s + self._tolerances.time_s
+        self._settling = answer, answer.performed.end_rad, state.clock_s + self._tolerances.time_s
         self._end_when_settled(state, *self._settling)
 
     def _end_when_settled(self, state: ArmState, answer: Answer, end_rad: Positions, until_s: float) -> None:

@@ -15,23 +15,22 @@ from server.errors import RefusedError, refused
 from server.execution.failures import with_nearest_goal
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.monitors import state_message
-from server.execution.motions import Motion, MotionStep, Performed, PlannedMotion, Positions, plan_sequence
+from server.execution.motions import Motion, MotionStep, PlannedMotion, Positions, plan_sequence
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
-from server.graph.node import Node
-from server.graph.permissions import GOAL, PLANNING_GOAL
-from server.graph.services import CompleteResponse
+from server.graph.permissions import GOAL, PLANNING_GOAL, Node
+from server.graph.providers import CompleteResponse
 from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import (
-    answer_of_task,
     cancel_with_goal,
     finish_goal,
     goal_status,
+    plan_without_moving,
     reject_goal,
     submit_goal,
 )
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, check_duration
-from server.moveit.goals.goal_messages import with_suggestion
+from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, RequestStep, sequence_requests
@@ -70,7 +69,7 @@ class PlanningGoal:
 
 def move_group_result(answer: Answer, robot: RobotModel) -> Message:
     """Write the result of moveit_msgs/MoveGroup."""
-    performed = answer.performed or Performed({})
+    performed = answer.performed
     return {
         "error_code": _explained_code(answer, robot),
         "trajectory_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
@@ -82,7 +81,7 @@ def move_group_result(answer: Answer, robot: RobotModel) -> Message:
 
 def sequence_result(answer: Answer, robot: RobotModel) -> Message:
     """Write the result of moveit_msgs/MoveGroupSequence."""
-    performed = answer.performed or Performed({})
+    performed = answer.performed
     response = {
         "error_code": _explained_code(answer, robot),
         "sequence_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
@@ -102,7 +101,7 @@ def _trajectory_message(motion: Trajectory | None, robot: RobotModel) -> dict[st
 
 
 def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
-    node = Node("move group")
+    node = graph.node("move group")
 
     def offer(
         name: str,
@@ -126,7 +125,7 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
             except RefusedError as error:
                 reject_goal(goal, queue, error.failure, result)
 
-        graph.actions.offer(node, name, f"moveit_msgs/action/{type_name}", start, PLANNING_LIMITS, rule=PLANNING_GOAL)
+        node.offer_action(name, f"moveit_msgs/action/{type_name}", start, PLANNING_LIMITS, rule=PLANNING_GOAL)
 
     for name in MOVE_ACTIONS:
         offer(name, "MoveGroup", lambda goal: [goal["request"]], move_group_result)
@@ -149,7 +148,7 @@ def _execute(goal: ActionGoal, queue: GoalQueue, motion: Motion, result: Callabl
 
 def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message]) -> None:
     goal.feedback({"state": IDLE})
-    performed = answer.performed or Performed({})
+    performed = answer.performed
     if not is_long([*performed.planned, *filter(None, (performed.executed,))]):
         finish_goal(goal, answer, result)
         return
@@ -166,10 +165,9 @@ def _answer_with_plan(
     goal: ActionGoal, planning_goal: PlanningGoal, context: PlanningContext, result: Callable[[Answer], Message]
 ) -> None:
     goal.feedback({"state": PLANNING})
-    task = asyncio.create_task(plan_only(planning_goal, goal.sender, context), name=f"plan for {goal.action}")
-    task.add_done_callback(lambda planned: _finish(goal, answer_of_task(planned), result))
+    work = plan_only(planning_goal, goal.sender, context)
     # The goal keeps the task alive, which the event loop does not.
-    cancel_with_goal(goal, lambda _reason: task.cancel())
+    cancel_with_goal(goal, plan_without_moving(work, goal.action, lambda answer: _finish(goal, answer, result)))
 
 
 def read_planning_goal(requests: Sequence[Message], message: Message) -> PlanningGoal:
@@ -259,10 +257,10 @@ async def plan_steps(
     if planned.failure is not None:
         context.display.contacts_of(planned.failure.details)
         failure = await with_nearest_goal(planned.failure, planned.problem, scene, context.pool)
-        return Answer.of(failure, planned.performed)
-    context.display.performed(planned.performed)
+        return Answer.of(failure, planned)
+    context.display.performed(planned)
     message = "; ".join((planned.summary, *planned.notes, *start.warnings, *warnings))
-    return Answer(MoveItErrorCode.SUCCESS, message, performed=planned.performed)
+    return Answer(MoveItErrorCode.SUCCESS, message, performed=planned)
 
 
 def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:
@@ -295,5 +293,5 @@ def offer_execute_trajectory(graph: Graph, context: TrajectoryContext) -> None:
         else:
             _execute(goal, context.queue, external_motion(message, robot), result)
 
-    node, type_name = Node("execute trajectory"), "moveit_msgs/action/ExecuteTrajectory"
-    graph.actions.offer(node, EXECUTE_ACTION, type_name, start, TRAJECTORY_LIMITS, rule=GOAL)
+    node, type_name = graph.node("execute trajectory"), "moveit_msgs/action/ExecuteTrajectory"
+    node.offer_action(EXECUTE_ACTION, type_name, start, TRAJECTORY_LIMITS, rule=GOAL)

@@ -17,10 +17,9 @@ from robot.trajectory import rest_to_rest
 from server.errors import RefusedError, ServiceError
 from server.execution.motions import Positions
 from server.graph.list_limits import ListLimits
-from server.graph.node import Node
 from server.graph.permissions import PLANNING
 from server.graph.topics import Graph
-from server.moveit.goals.goal_messages import JOINTS_TOPIC, POSE_TOPIC, GoalTranslator
+from server.moveit.goals.goal_topics import JOINTS_TOPIC, POSE_TOPIC, GoalTranslator
 from server.moveit.messages import Message, matrix_of
 from server.moveit.requests.planning_context import PlanningContext
 
@@ -28,15 +27,13 @@ SERVICE = "/check_goals"
 
 MAX_GOALS = 100
 
-# The planners' time for a goal on average, of 5 ms in all, and what they search at first: most need a millisecond.
+# Time of the planners for a goal on average, of 5 ms in all: most need a millisecond.
 GOAL_TIME_S = 0.004
-FIRST_CHECK_S = 0.003
 
 # Few goals have time for the nearest point as well, where a gizmo out of reach is drawn; 20 times a second is smooth.
 MIN_CALL_S = 0.04
 
-# The rest of a call's time goes to the goals that have no answer yet: to find the reason of a failure may take a tenth
-# of a second. The way to the planner and back comes on top, and shorter checks than this find nothing.
+# The way to the planner and back comes on top, and shorter checks than this find nothing.
 WAY_S = 0.002
 MIN_CHECK_S = 0.003
 
@@ -82,8 +79,8 @@ def offer_goal_checks(graph: Graph, translator: GoalTranslator, planning: Planni
 
     # Each may be the only ones; both together are counted in the call.
     limits = ListLimits({f"armbridge_msgs/srv/CheckGoals_Request.{field}": MAX_GOALS for field in ("poses", "joints")})
-    node = Node("goal checks")
-    graph.services.offer(node, SERVICE, "armbridge_msgs/CheckGoals", check, limits=limits, rule=PLANNING)
+    node = graph.node("goal checks")
+    node.offer(SERVICE, "armbridge_msgs/CheckGoals", check, limits=limits, rule=PLANNING)
 
 
 def _problem(
@@ -103,25 +100,14 @@ def _problem(
 async def answers_in_time(
     problems: list[PlanningProblem | PlanningFailure], pool: Planners, scene: Scene
 ) -> list[IkAnswer | PlanningFailure]:
-    """Answer all goals: each gets a short check, then those without an answer share the rest of the time."""
+    """Answer all goals: each may take its share of the time left, and quick goals leave theirs to the later ones."""
     until_s = time.monotonic() + max(GOAL_TIME_S * len(problems), MIN_CALL_S)
     answers = []
-    for problem in problems:
-        late = time.monotonic() > until_s + WAITING_S
-        answers.append(NOT_CHECKED if late else await _find(problem, FIRST_CHECK_S, pool, scene))
-    undecided = [at for at, answer in enumerate(answers) if _undecided(answer)]
-    for done, at in enumerate(undecided):
-        share_s = (until_s - time.monotonic()) / (len(undecided) - done) - WAY_S
-        if share_s < MIN_CHECK_S:
-            break
-        answers[at] = await _find(problems[at], share_s, pool, scene)
+    for done, problem in enumerate(problems):
+        left_s = until_s - time.monotonic()
+        share_s = max(left_s / (len(problems) - done) - WAY_S, MIN_CHECK_S)
+        answers.append(NOT_CHECKED if left_s < -WAITING_S else await _find(problem, share_s, pool, scene))
     return answers
-
-
-def _undecided(answer: IkAnswer | PlanningFailure) -> bool:
-    return (
-        isinstance(answer, PlanningFailure) and answer.code is MoveItErrorCode.TIMED_OUT and answer is not NOT_CHECKED
-    )
 
 
 async def _find(

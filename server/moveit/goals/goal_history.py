@@ -11,13 +11,11 @@ from planners.files import problem_file
 from planners.problem import PlanningFailure, PlanningProblem
 from planners.scene import Scene
 from robot.trajectory import Trajectory
-from server.errors import RefusedError
-from server.execution.goal import Answer, Goal, GoalState, Progress
-from server.execution.motions import Motion, Performed, PlannedMotion
+from server.execution.goal import Answer, Goal
 from server.execution.queue import GoalListener
-from server.graph.node import Node
 from server.graph.permissions import LOOKING
-from server.graph.services import Answered, CompleteResponse
+from server.graph.providers import CompleteResponse
+from server.graph.services import Answered
 from server.graph.topics import Graph
 from server.moveit.goals.goal_topics import final_status
 from server.moveit.messages import Message
@@ -56,38 +54,27 @@ class GoalHistory(GoalListener):
         self._planning = planning
         self._wall_clock = wall_clock
         self._records: OrderedDict[str, GoalRecord] = OrderedDict()
-        # Scene of each goal in progress when it was planned last: it may change before the answer.
-        self._planned_in: dict[str, Scene] = {}
-        self._summaries: dict[str, str] = {}
-        node = Node("goal history")
+        node = graph.node("goal history")
         offer = graph.services.offer
         offer(node, "/armbridge/goal_history", "armbridge_msgs/srv/GetGoalHistory", self._history, rule=LOOKING)
         offer(node, "/armbridge/goal_record", "armbridge_msgs/srv/GetGoalRecord", self._record, rule=LOOKING)
 
-    def on_progress(self, goal: Goal, progress: Progress) -> None:
-        if progress.state is GoalState.PLANNING:
-            self._planned_in[goal.goal_id] = self._planning.scene_state.scene
-        elif progress.state is GoalState.EXECUTING:
-            # The first of them has the plan's methods and times; later ones may say that the motion is paused.
-            self._summaries.setdefault(goal.goal_id, progress.message)
-
     def on_answer(self, goal: Goal, answer: Answer) -> None:
         """Keep the record of a goal, unless its answer is for one client alone, or no news of a stream."""
         self._planning.display.contacts_of(answer.details)
-        scene = self._planned_in.pop(goal.goal_id, None) or self._planning.scene_state.scene
-        summary = self._summaries.pop(goal.goal_id, "")
         if goal.request.only_for is not None or goal.unlogged:
             return
-        performed = answer.performed or Performed({})
+        performed = answer.performed
         self._records[goal.goal_id] = GoalRecord(
             self._wall_clock(),
             final_status(goal, answer, self._robot),
             goal.request.message,
             performed.planned,
-            summary,
+            performed.summary if performed.planned else "",
             performed.planning_time_s,
             PlanningFailure(answer.code, answer.message),
-            *_problem(goal.request.motion, answer, scene),
+            performed.problem if isinstance(performed.problem, PlanningProblem) else None,
+            performed.scene,
         )
         while len(self._records) > MAX_GOALS:
             self._records.popitem(last=False)
@@ -139,20 +126,3 @@ class GoalHistory(GoalListener):
             problem_file.text, name, record.problem, record.scene, self._robot, record.failure
         )
         return {"problem_name": f"{name}.json", "problem": text}
-
-
-def _problem(request: Motion | None, answer: Answer, scene: Scene) -> tuple[PlanningProblem | None, Scene]:
-    """Return the problem that failed, else the first one, with its scene; None where no file can hold the problem."""
-    performed = answer.performed
-    if performed is None or not isinstance(request, PlannedMotion):
-        return None, scene
-    done = performed.planned if len(performed.planned) < len(request.steps) else ()
-    start_rad = dict(performed.start_rad)
-    for motion in done:
-        start_rad |= dict(zip(motion.joint_names, motion.positions_rad[-1].tolist(), strict=True))
-    try:
-        problem = request.steps[len(done)].problem(start_rad)
-        planned_in = scene if request.scene is None else request.scene(performed.start_rad)
-    except RefusedError:
-        return None, scene
-    return (problem if isinstance(problem, PlanningProblem) else None), planned_in

@@ -14,7 +14,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import refused
 from server.execution.monitors import CurrentState
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.moveit.display import DisplayTopics
 from server.moveit.messages import Message, read_joint_positions
 from server.moveit.parameters import PlannerParameters

@@ -15,7 +15,7 @@ from server.moveit.messages import composed, inverse, pose_of
 from server.moveit.scene.collision_objects import IDENTITY
 
 if TYPE_CHECKING:
-    from server.moveit.scene.planning_scene import SceneContents, SceneDraft
+    from server.moveit.scene.planning_scene import SceneContents
     from server.moveit.scene.scene_state import SceneState
 
 # MoveIt's name of the fixed frame, which is the robot's root link here.
@@ -80,7 +80,7 @@ class Frames:
         return self._resolved[frame_id]
 
 
-def find_frame(frame_id: str, around: SceneContents | SceneDraft, links: LinkTransforms) -> Pose:
+def find_frame(frame_id: str, around: SceneContents, links: LinkTransforms) -> Pose:
     """Return the pose of a frame in the root link.
 
     The empty name, ``world`` and the root link are the root link itself; a leading slash does not matter. A subframe
@@ -119,7 +119,7 @@ def seen_from(frame: Pose, pose: Pose) -> Pose:
     return pose if frame == IDENTITY else composed(inverse(frame), pose)
 
 
-def _object_frame(name: str, subframe: str, around: SceneContents | SceneDraft, links: LinkTransforms) -> Pose | None:
+def _object_frame(name: str, subframe: str, around: SceneContents, links: LinkTransforms) -> Pose | None:
     """Return the pose of an object or its subframe in the root link; None if there is no such object or subframe."""
     attached = around.attached.get(name)
     found = around.objects.get(name) if attached is None else attached.collision_object

@@ -17,9 +17,8 @@ from protocol.errors import MessageError
 from robot import files
 from server.errors import RefusedError, UnsuccessfulError, invalid
 from server.execution.monitors import CurrentState
-from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, WORKING, Rule
-from server.graph.topics import Graph
+from server.graph.topics import LocalNode
 from server.moveit.messages import Message, write_pose
 from server.moveit.scene import collision_objects as shapes
 from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, CollisionObject
@@ -207,9 +206,7 @@ _READERS: Mapping[str, tuple[str, Callable[[_Lines], Message]]] = {
 }
 
 
-def offer_geometry_files(
-    graph: Graph, node: Node, state: SceneState, current: CurrentState, directory: Path | None
-) -> None:
+def offer_geometry_files(node: LocalNode, state: SceneState, current: CurrentState, directory: Path | None) -> None:
     async def save(path: Path) -> None:
         try:
             await asyncio.to_thread(_write_bounded, path, state.contents)
@@ -221,7 +218,7 @@ def offer_geometry_files(
         if size > MAX_FILE_BYTES:
             raise invalid(f"{path} has {size} bytes, more than {MAX_FILE_BYTES}")
         objects = {"collision_objects": read_geometry(path.read_text(), state.frame)}
-        return graph.message_types.complete("moveit_msgs/msg/PlanningSceneWorld", objects)
+        return node.message_types.complete("moveit_msgs/msg/PlanningSceneWorld", objects)
 
     async def load(path: Path) -> None:
         try:
@@ -243,7 +240,7 @@ def offer_geometry_files(
                 raise UnsuccessfulError({"success": False}, str(error)) from error
             return {"success": True}
 
-        graph.services.offer(node, service, f"moveit_msgs/srv/{type_name}", serve, rule=rule)
+        node.offer(service, f"moveit_msgs/srv/{type_name}", serve, rule=rule)
 
     offer(SAVE, "SaveGeometryToFile", save, CONFIGURING)
     offer(LOAD, "LoadGeometryFromFile", load, WORKING)

@@ -14,10 +14,10 @@ from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState, state_message
 from server.graph.list_limits import ListLimits
-from server.graph.node import Node
 from server.graph.permissions import LOOKING, WORKING
-from server.graph.services import Call, CompleteResponse, answer
-from server.graph.topics import Graph, Subscriber
+from server.graph.providers import CompleteResponse
+from server.graph.services import Call, answer
+from server.graph.topics import Graph, LocalNode
 from server.moveit.messages import Message, write_pose, write_transform
 from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
@@ -171,7 +171,7 @@ def _objects(contents: SceneContents, robot: RobotModel, requested: int) -> list
     return []
 
 
-def _subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, current: CurrentState) -> None:
+def _subscribe_to_scene_topics(node: LocalNode, state: SceneState, current: CurrentState) -> None:
     """Apply the messages of the scene's topics, without the joints: a topic does not tell its publisher."""
     topics: Mapping[str, tuple[str, Callable[[Message], SceneChange]]] = {
         "/planning_scene": ("moveit_msgs/msg/PlanningScene", state.diff),
@@ -189,9 +189,7 @@ def _subscribe_to_scene_topics(graph: Graph, node: Node, state: SceneState, curr
         state.submit(read(published.msg), current.positions_rad(), functools.partial(end, published.topic))
 
     for topic, (type_name, _) in topics.items():
-        check_lists = SCENE_LIMITS.check(graph.message_types.registry, type_name)
-        subscriber = Subscriber(deliver, functools.partial(end, topic), check_lists=check_lists, rule=WORKING)
-        graph.subscribe(node, topic, type_name, subscriber)
+        node.subscribe(topic, type_name, deliver, functools.partial(end, topic), limits=SCENE_LIMITS, rule=WORKING)
 
 
 class MonitoredScenePublisher:
@@ -207,7 +205,7 @@ class MonitoredScenePublisher:
         call_later: CallLater = call_later,
     ) -> None:
         self._graph = graph
-        self._node = Node("planning_scene")
+        self._node = graph.node("planning_scene")
         self._state = state
         self._current = current
         self._clock = clock
@@ -216,7 +214,7 @@ class MonitoredScenePublisher:
         self._period_s = 1.0 / rate_hz
         self._published_at_s = clock() - self._period_s
         self._timer: asyncio.TimerHandle | None = None
-        graph.advertise(self._node, MONITORED_TOPIC, "moveit_msgs/PlanningScene")
+        self._node.advertise(MONITORED_TOPIC, "moveit_msgs/PlanningScene")
         self._latch()
         state.on_change(self._schedule)
 
@@ -233,8 +231,8 @@ class MonitoredScenePublisher:
         self._timer, self._published_at_s = None, self._clock()
         before, self._published = self._published, self._state.contents
         if before != self._published:
-            self._graph.publish(
-                self._node, MONITORED_TOPIC, scene_diff(before, self._published, self._state.robot), prevalidated=True
+            self._node.publish(
+                MONITORED_TOPIC, scene_diff(before, self._published, self._state.robot), prevalidated=True
             )
             self._latch()
 
@@ -259,17 +257,13 @@ class SceneInterface:
         self._state = state
         self._assumed = assumed
         self._current = current
-        node, services = Node("planning_scene"), graph.services
-        _subscribe_to_scene_topics(graph, node, state, current)
-        services.offer_calls(
-            node, GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS, rule=LOOKING
-        )
-        services.offer_calls(
-            node, APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS, rule=WORKING
-        )
+        node = graph.node("planning_scene")
+        _subscribe_to_scene_topics(node, state, current)
+        node.offer_calls(GET, "moveit_msgs/srv/GetPlanningScene", self._get, limits=SCENE_LIMITS, rule=LOOKING)
+        node.offer_calls(APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS, rule=WORKING)
         # The scene has no octomap, so there is nothing to clear.
-        services.offer(node, CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
-        offer_geometry_files(graph, node, state, current, parameters.geometry_directory)
+        node.offer(CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
+        offer_geometry_files(node, state, current, parameters.geometry_directory)
         rate_hz = parameters.publish_planning_scene_hz
         self._publisher = MonitoredScenePublisher(graph, state, current, rate_hz)
 

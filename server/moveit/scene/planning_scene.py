@@ -7,9 +7,10 @@ objects, and moveit_msgs/PlanningScene, which has all of them and the scene's se
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
 from itertools import islice
+from typing import Any
 
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose, Scene
@@ -65,20 +66,20 @@ EMPTY_DIFF: Message = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass
 class SceneContents:
-    """Contents of a planning scene. Objects are compared by identity, which makes comparing scenes quick."""
+    """Contents of a planning scene, which nobody changes but in a draft; objects are compared by identity: quickly."""
 
     allowed_collisions: AllowedCollisionMatrix
     name: str = NO_NAME
     # Collision objects by name, in the planning frame.
-    objects: Mapping[str, CollisionObject] = field(default_factory=dict)
-    attached: Mapping[str, AttachedCollisionObject] = field(default_factory=dict)
+    objects: dict[str, CollisionObject] = field(default_factory=dict)
+    attached: dict[str, AttachedCollisionObject] = field(default_factory=dict)
     # Link -> padding [m]; links that are not in it have none.
-    padding_m: Mapping[str, float] = field(default_factory=dict)
-    scale: Mapping[str, float] = field(default_factory=dict)
-    colors: Mapping[str, Message] = field(default_factory=dict)  # link or object -> std_msgs/ColorRGBA
-    fixed_frames: Mapping[str, Pose] = field(default_factory=dict)
+    padding_m: dict[str, float] = field(default_factory=dict)
+    scale: dict[str, float] = field(default_factory=dict)
+    colors: dict[str, Message] = field(default_factory=dict)  # link or object -> std_msgs/ColorRGBA
+    fixed_frames: dict[str, Pose] = field(default_factory=dict)
 
     def looks_same(self, other: SceneContents) -> bool:
         return (
@@ -101,35 +102,24 @@ class SceneContents:
         )
 
 
-class SceneDraft:
+def _parts(contents: SceneContents) -> dict[str, Any]:
+    """Return contents by field, the dicts as copies."""
+    parts = {each.name: getattr(contents, each.name) for each in fields(SceneContents)}
+    return {name: dict(part) if isinstance(part, dict) else part for name, part in parts.items()}
+
+
+class SceneDraft(SceneContents):
     """Scene contents under change."""
 
     def __init__(self, contents: SceneContents, links: LinkTransforms) -> None:
+        super().__init__(**_parts(contents))
         # The contents to start from, which stay as they are; an object that is only repeated stays the same one.
         self.before = contents
         self.links = links  # transforms of the links, which do not move meanwhile
         self.root = links.robot.root_link  # the planning frame
-        # The next attributes are as in :class:`SceneContents`.
-        self.allowed_collisions = contents.allowed_collisions
-        self.name = contents.name
-        self.objects: dict[str, CollisionObject] = dict(contents.objects)
-        self.attached: dict[str, AttachedCollisionObject] = dict(contents.attached)
-        self.padding_m: dict[str, float] = dict(contents.padding_m)
-        self.scale: dict[str, float] = dict(contents.scale)
-        self.colors: dict[str, Message] = dict(contents.colors)
-        self.fixed_frames: dict[str, Pose] = dict(contents.fixed_frames)
 
     def contents(self) -> SceneContents:
-        return SceneContents(
-            self.allowed_collisions,
-            self.name,
-            self.objects,
-            self.attached,
-            self.padding_m,
-            self.scale,
-            self.colors,
-            self.fixed_frames,
-        )
+        return SceneContents(**_parts(self))
 
     def is_root(self, frame_id: str) -> bool:
         """Tell by its name alone if a frame is the planning frame."""

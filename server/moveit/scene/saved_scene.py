@@ -20,7 +20,6 @@ from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.graph.message_types import MessageTypes
-from server.graph.node import Node
 from server.graph.permissions import CONFIGURING, LOOKING, WORKING, Rule
 from server.graph.services import telling
 from server.graph.topics import Graph
@@ -237,7 +236,7 @@ class NamedScenes(NamedFiles):
 
 def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState) -> None:
     """Offer ``/arm/scenes/list``, ``/arm/scenes/save``, ``/arm/scenes/load`` and ``/arm/scenes/delete``."""
-    node = Node("saved scenes")
+    node = graph.node("saved scenes")
 
     async def names(_request: Message) -> Message:
         return {"names": await scenes.names()}
@@ -254,9 +253,9 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
             return {"success": True, "message": await work(request["name"])}
 
         name = f"/arm/scenes/{name}"
-        graph.services.offer(node, name, f"armbridge_msgs/srv/{type_name}", telling(name, reply, log), rule=rule)
+        node.offer(name, f"armbridge_msgs/srv/{type_name}", telling(name, reply, log), rule=rule)
 
-    graph.services.offer(node, "/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names, rule=LOOKING)
+    node.offer("/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names, rule=LOOKING)
     offer("save", "SaveScene", scenes.save, CONFIGURING)
     offer("load", "LoadScene", load, WORKING)
     offer("delete", "DeleteScene", delete, CONFIGURING)

@@ -15,7 +15,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import RefusedError, refused
 from server.execution.monitors import CurrentScene
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.moveit.messages import Message, read_joint_positions
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.collision_objects import GEOMETRY_KINDS

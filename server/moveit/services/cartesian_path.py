@@ -10,18 +10,18 @@ import asyncio
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from planners.problem import CartesianPlan, CartesianProblem, Line, MoveItErrorCode, PlanningFailure
 from planners.scene import Pose, Scene
 from robot.description.forward_kinematics import ForwardPlacements
-from robot.trajectory import Trajectory, Vector
+from robot.trajectory import Trajectory
 from server.errors import invalid, required
 from server.execution.monitors import state_message
 from server.execution.motions import deviation_note
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.moveit.messages import Message, pose_of, success
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.trajectories import to_messages
@@ -51,9 +51,9 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
     long = len(request["waypoints"]) > MAX_WAYPOINTS_AT_ONCE
     read = context.problems.cartesian_path
     built = await asyncio.to_thread(read, request, start.start_rad) if long else read(request, start.start_rad)
-    thresholds = JumpThresholds(_threshold(request, "revolute_jump_threshold"), _threshold(request, "jump_threshold"))
+    thresholds = _threshold(request, "revolute_jump_threshold"), _threshold(request, "jump_threshold")
     plan = required(await context.pool.ask(built.problem, start.scene))
-    if thresholds.any:
+    if any(thresholds):
         plan = await _without_jumps(plan, built.problem, thresholds, start.scene, context)
     root = context.robot.root_link
     start_state = state_message(dict(start.start_rad), root, 0.0)
@@ -75,7 +75,7 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
 
 
 async def _without_jumps(
-    plan: CartesianPlan, problem: CartesianProblem, thresholds: JumpThresholds, scene: Scene, context: PlanningContext
+    plan: CartesianPlan, problem: CartesianProblem, thresholds: Thresholds, scene: Scene, context: PlanningContext
 ) -> CartesianPlan:
     """Return the plan of the part before the first jump; the same plan if there is no jump."""
     tip = context.forward, problem.link
@@ -111,25 +111,8 @@ def _threshold(request: Message, field: str) -> float:
     return max(0.0, value)
 
 
-@dataclass(frozen=True)
-class JumpThresholds:
-    """Greatest step of any joint [rad], and greatest multiple of the mean step, that are no jumps; 0 for none."""
-
-    step_rad: float
-    factor: float
-
-    @property
-    def any(self) -> bool:
-        return self.step_rad > 0.0 or self.factor > 0.0
-
-    def limit_rad(self, steps_rad: Vector) -> float:
-        """Return the greatest step that is no jump, from the greatest joint step at each place, shape (n,) [rad]."""
-        limits = [np.inf]
-        if self.step_rad > 0.0:
-            limits.append(self.step_rad)
-        if self.factor > 0.0:
-            limits.append(max(self.factor * float(np.mean(steps_rad)), LEAST_JUMP_RAD))
-        return min(limits)
+# Greatest step of any joint [rad], and greatest multiple of the mean step, that are no jumps; 0 for none.
+Thresholds: TypeAlias = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -147,7 +130,7 @@ def first_jump(
     tip: tuple[ForwardPlacements, str],
     others_rad: Mapping[str, float],
     step_m: float,
-    thresholds: JumpThresholds,
+    thresholds: Thresholds,
 ) -> Jump | None:
     """Find the first jump on a path; None if there is none."""
     count = min(max(2, int(np.ceil(motion.duration_s / SAMPLE_S)) + 1), MAX_SAMPLES)
@@ -163,7 +146,9 @@ def first_jump(
     greatest = steps.max(axis=1, initial=0.0)
     if not greatest.size:
         return None
-    limit_rad = thresholds.limit_rad(greatest)
+    step_rad, factor = thresholds
+    by_mean_rad = max(factor * float(np.mean(greatest)), LEAST_JUMP_RAD) if factor else math.inf
+    limit_rad = min(step_rad or math.inf, by_mean_rad)
     beyond = np.flatnonzero(greatest > limit_rad)
     if not beyond.size:
         return None

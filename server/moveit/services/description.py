@@ -29,7 +29,6 @@ from robot.messages import ArmState
 from server.errors import RefusedError, ServiceError
 from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.list_limits import ListLimits
-from server.graph.node import Node
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
 from server.moveit.actions.gripper import GRIPPER_ACTION
@@ -56,11 +55,11 @@ EARLY_S = 0.005
 
 
 def offer_description(graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
-    node, files = Node("robot description"), RobotFiles(robot)
+    node, files = graph.node("robot description"), RobotFiles(robot)
     texts = {URDF_TOPIC: with_package_urls(robot.urdf, package_name(robot)), SRDF_TOPIC: robot.srdf}
     for topic, text in texts.items():
-        graph.advertise(node, topic, "std_msgs/String", latch=True)
-        graph.publish(node, topic, {"data": text})
+        node.advertise(topic, "std_msgs/String", latch=True)
+        node.publish(topic, {"data": text})
         name = topic.removeprefix("/")
         # ROS 1 clients ask for the name with its slash or without, clients of ROS 2 for a parameter of a node.
         for parameter in (topic, name, *(f"{each}:{name}" for each in NODES)):
@@ -71,36 +70,35 @@ def offer_description(graph: Graph, robot: RobotModel, keep_parameter: Callable[
         octets = await asyncio.to_thread(files.read, request["name"])
         return {"value": base64.b64encode(octets).decode("ascii")}
 
-    graph.services.offer(node, FILE_SERVICE, "file_server/GetBinaryFile", get_file, rule=LOOKING)
+    node.offer(FILE_SERVICE, "file_server/GetBinaryFile", get_file, rule=LOOKING)
 
 
 class TransformsTopics:
     """Transforms of the arm: transforms of movable joints with the joint states, the others once."""
 
     def __init__(self, graph: Graph, robot: RobotModel, rate_hz: float) -> None:
-        self._graph = graph
         self._period_s = 1.0 / rate_hz
         self._placements = ForwardPlacements(robot)
         joints = robot.joints.values()
         self._moving = [joint.child for joint in joints if joint.moves]
         self._fixed = [joint.child for joint in joints if not joint.moves]
-        self._node = Node("robot state publisher")
+        self._node = graph.node("robot state publisher")
         self._published_s = 0.0
-        self._graph.advertise(self._node, TRANSFORMS_TOPIC, "tf2_msgs/TFMessage")
-        self._graph.advertise(self._node, STATIC_TRANSFORMS_TOPIC, "tf2_msgs/TFMessage", latch=True)
+        self._node.advertise(TRANSFORMS_TOPIC, "tf2_msgs/TFMessage")
+        self._node.advertise(STATIC_TRANSFORMS_TOPIC, "tf2_msgs/TFMessage", latch=True)
         fixed = self._message(self._fixed, {}, graph.message_types.wall_clock())
-        self._graph.publish(self._node, STATIC_TRANSFORMS_TOPIC, fixed)
+        self._node.publish(STATIC_TRANSFORMS_TOPIC, fixed)
 
     def take_state(self, state: ArmState) -> None:
         """Publish a state of the arm, if there are subscribers and it is due."""
-        if state.position_rad is None or not self._graph.subscribers(TRANSFORMS_TOPIC):
+        if state.position_rad is None or not self._node.subscribers(TRANSFORMS_TOPIC):
             return
         # The clock of a process that has started again may be behind; that must not silence the topic.
         if 0.0 <= state.clock_s - self._published_s < self._period_s - EARLY_S:
             return
         self._published_s = state.clock_s
         positions_rad = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
-        self._graph.publish(self._node, TRANSFORMS_TOPIC, self._message(self._moving, positions_rad, state.stamp_s))
+        self._node.publish(TRANSFORMS_TOPIC, self._message(self._moving, positions_rad, state.stamp_s))
 
     def _message(self, links: list[str], positions_rad: Mapping[str, float], stamp_s: float) -> dict[str, Any]:
         stamp = Stamp.from_seconds(stamp_s).as_message()
@@ -169,15 +167,14 @@ class TransformRepublisher:
     """The action and the service."""
 
     def __init__(self, graph: Graph, frames: Frames, clock: Callable[[], float] = time.monotonic) -> None:
-        self._graph = graph
         self._frames = frames
         self._clock = clock
-        self._node = Node("tf2 web republisher")
+        self._node = graph.node("tf2 web republisher")
         self._goals: dict[ActionGoal, _Subscription] = {}
         self._topics: dict[str, _Subscription] = {}
         self._numbers = itertools.count(1)
-        graph.actions.offer(self._node, ACTION, ACTION_TYPE, self._start, LIMITS, rule=LOOKING, max_goal_s=MAX_GOAL_S)
-        graph.services.offer(self._node, SERVICE, SERVICE_TYPE, self._republish, limits=LIMITS, rule=LOOKING)
+        self._node.offer_action(ACTION, ACTION_TYPE, self._start, LIMITS, rule=LOOKING, max_goal_s=MAX_GOAL_S)
+        self._node.offer(SERVICE, SERVICE_TYPE, self._republish, limits=LIMITS, rule=LOOKING)
 
     def take_state(self, state: ArmState) -> None:
         """Send the transforms that are due and have changed."""
@@ -187,7 +184,7 @@ class TransformRepublisher:
         self._end_left(now_s)
         positions_rad = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
         relative = functools.cache(functools.partial(self._relative, positions_rad))
-        stamp = self._graph.message_types.now().as_message()
+        stamp = self._node.message_types.now().as_message()
         watched = [topic for topic in self._topics.values() if topic.subscribers]
         for subscription in (*self._goals.values(), *watched):
             if now_s < subscription.due_s:
@@ -221,10 +218,8 @@ class TransformRepublisher:
         if not self._has_room():
             raise ServiceError(f"there are {MAX_SUBSCRIPTIONS} subscriptions already, the limit")
         topic = f"{ACTION}/tf_repub_{next(self._numbers)}"
-        self._graph.advertise(self._node, topic, ARRAY_TYPE)
-        subscription = _Subscription(
-            request, lambda transforms: self._graph.publish(self._node, topic, {"transforms": transforms})
-        )
+        self._node.advertise(topic, ARRAY_TYPE)
+        subscription = _Subscription(request, lambda transforms: self._node.publish(topic, {"transforms": transforms}))
         timeout = request["timeout"]
         subscription.timeout_s = min(timeout["sec"] + 1e-9 * timeout["nanosec"], MAX_TIMEOUT_S)
         subscription.watched_s, self._topics[topic] = self._clock(), subscription
@@ -238,11 +233,11 @@ class TransformRepublisher:
         for goal in [goal for goal in self._goals if goal.sender_left]:
             goal.cancel()
         for name, topic in list(self._topics.items()):
-            before, topic.subscribers = topic.subscribers, len(self._graph.subscribers(name))
+            before, topic.subscribers = topic.subscribers, len(self._node.subscribers(name))
             if topic.subscribers:
                 topic.watched_s = now_s
             elif now_s - topic.watched_s > topic.timeout_s:
-                self._graph.unadvertise(self._node, name)
+                self._node.unadvertise(name)
                 del self._topics[name]
             if topic.subscribers > before:
                 topic.sent.clear()
@@ -255,9 +250,9 @@ def publish_groups(
     graph: Graph, robot: RobotModel, arms: Mapping[str, RobotModel], parameters: MoveItParameters
 ) -> None:
     """Publish the groups, latched, of one arm with an empty name or of several arms by their names."""
-    node = Node("robot groups")
-    graph.advertise(node, ROBOT_TOPIC, "std_msgs/String", latch=True)
-    graph.publish(node, ROBOT_TOPIC, {"data": json.dumps(groups_document(robot, arms, parameters))})
+    node = graph.node("robot groups")
+    node.advertise(ROBOT_TOPIC, "std_msgs/String", latch=True)
+    node.publish(ROBOT_TOPIC, {"data": json.dumps(groups_document(robot, arms, parameters))})
 
 
 def groups_document(robot: RobotModel, arms: Mapping[str, RobotModel], parameters: MoveItParameters) -> dict[str, Any]:

@@ -21,11 +21,11 @@ from server.errors import RefusedError, ServiceError, UnsuccessfulError, require
 from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
 from server.execution.motions import Problem, deviation_note, plan_sequence
-from server.graph.node import Node
-from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Rule
-from server.graph.services import Answered, Call, CompleteResponse, answer
+from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Node, Rule
+from server.graph.providers import CompleteResponse
+from server.graph.services import Answered, Call, answer
 from server.graph.topics import Graph
-from server.moveit.goals.goal_messages import with_suggestion
+from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code, pose_of, success, write_pose
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.requests.constraints import known_link, read_path_constraints
@@ -210,7 +210,7 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     steps = [RequestStep(context.problems, item) for item in requests]
     start = context.start(requests[0]["start_state"], caller)
     planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool)
-    root, performed, failure = context.robot.root_link, planned.performed, planned.failure
+    root, performed, failure = context.robot.root_link, planned, planned.failure
     if failure is not None:
         failure = await explained(failure, planned.problem, start.scene, context)
     start_state = state_message(dict(start.start_rad), root, 0.0)
@@ -343,10 +343,10 @@ SERVICES: Mapping[str, MoveGroupService] = {
 
 
 def offer_services(graph: Graph, context: PlanningContext) -> None:
-    node = Node("moveit services")
+    node = graph.node("moveit services")
     for name, service in SERVICES.items():
         type_name, start = f"moveit_msgs/srv/{service.type_name}", _start_call(service, context)
-        graph.services.offer_calls(node, name, type_name, start, TIMEOUT_S, PLANNING_LIMITS, rule=service.rule)
+        node.offer_calls(name, type_name, start, TIMEOUT_S, PLANNING_LIMITS, rule=service.rule)
 
 
 def _start_call(service: MoveGroupService, context: PlanningContext) -> Callable[[Call], None]:

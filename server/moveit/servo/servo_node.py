@@ -20,10 +20,8 @@ from server.errors import RefusedError, UnsuccessfulError, invalid
 from server.execution.monitors import check_ready
 from server.execution.motions import Joints
 from server.execution.queue import GoalQueue
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
 from server.graph.permissions import STOPPING, SWITCHING
-from server.graph.topics import Subscriber
+from server.graph.topics import LocalGraph, LocalNode
 from server.moveit.messages import Message
 from server.moveit.parameters import LEAST_TIMEOUT_S, MoveItParameters
 from server.moveit.requests.constraints import planning_group, tip_link
@@ -110,15 +108,12 @@ class Press:
 class StatusPublisher:
     """Publisher of ``/servo_node/status``, after every step of the loop and for every rejected command."""
 
-    def __init__(
-        self, graph: LocalGraph, node: Node, type_name: str, clock: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._graph = graph
+    def __init__(self, node: LocalNode, type_name: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._node = node
         self._type_name = type_name
         self._clock = clock
         self._logged, self._logged_at_s = "", 0.0
-        graph.advertise(node, STATUS_TOPIC, type_name, latch=True)
+        node.advertise(STATUS_TOPIC, type_name, latch=True)
 
     def publish(self, status: ServoStatus, message: str) -> None:
         """Publish a status; an error is logged as well, once in `LOGGED_AGAIN_S` while it is repeated."""
@@ -128,9 +123,9 @@ class StatusPublisher:
                 self._logged, self._logged_at_s = message, now_s
                 log.warning("servo: %s", message)
         if self._type_name == INT8:
-            self._graph.publish(self._node, STATUS_TOPIC, {"data": HUMBLE_NUMBERS.get(status, int(status))})
+            self._node.publish(STATUS_TOPIC, {"data": HUMBLE_NUMBERS.get(status, int(status))})
         else:
-            self._graph.publish(self._node, STATUS_TOPIC, {"code": int(status), "message": message})
+            self._node.publish(STATUS_TOPIC, {"code": int(status), "message": message})
 
 
 class CommandGate:
@@ -243,12 +238,11 @@ class ServoNode:
     ) -> None:
         servo, setup = parameters.servo, servo_setup(planning.robot, parameters)
         self._arm, self._queue, self._busy_joints = arm, queue, busy_joints
-        self._graph = graph
         self._joints = setup.joints
         self._parameters = servo
         self._resolve = planning.frames.resolve
-        self._node = Node("servo_node")
-        self._status = StatusPublisher(graph, self._node, servo.status_type)
+        self._node = graph.node("servo_node")
+        self._status = StatusPublisher(self._node, servo.status_type)
         self._gate = CommandGate(self._present, setup.timeout_s, arm)
         listener = ServoListener(self._status.publish, self._gate.interrupt)
         self._session = ServoSession(arm, setup, planning, listener)
@@ -258,9 +252,9 @@ class ServoNode:
         for kind in CommandType:
             self._subscribe(*_TOPICS[kind], functools.partial(self._take_command, kind))
         self._subscribe(TIMEOUT_TOPIC, "std_msgs/Float64", self._take_press)
-        graph.advertise(self._node, PARAMETERS_TOPIC, "std_msgs/String", latch=True)
+        self._node.advertise(PARAMETERS_TOPIC, "std_msgs/String", latch=True)
         values = servo.model_dump(include=PUBLISHED_PARAMETERS)
-        graph.publish(self._node, PARAMETERS_TOPIC, {"data": json.dumps(values)})
+        self._node.publish(PARAMETERS_TOPIC, {"data": json.dumps(values)})
         self._offer()
 
     async def close(self) -> None:
@@ -274,7 +268,7 @@ class ServoNode:
                 self._status.publish(ServoStatus.INVALID, str(error))
 
         reject = functools.partial(log.warning, "%s: %s", topic)
-        self._graph.subscribe(self._node, topic, type_name, Subscriber(deliver, reject, rule=SWITCHING))
+        self._node.subscribe(topic, type_name, deliver, reject, rule=SWITCHING)
 
     def _take_command(self, kind: CommandType, published: PublishedMessage) -> None:
         client, now_s = published.publisher, time.monotonic()
@@ -297,7 +291,7 @@ class ServoNode:
             self._session.set_command(command, self._gate.timeout_s(client))
 
     def _take_press(self, published: PublishedMessage) -> None:
-        present = self._graph.publishers(TIMEOUT_TOPIC)
+        present = self._node.publishers(TIMEOUT_TOPIC)
         self._gate.press(published.publisher, float(published.msg["data"]), present)
 
     def _read(self, kind: CommandType, message: Message) -> ServoInput:
@@ -337,7 +331,7 @@ class ServoNode:
             gate.reset()
             return {}
 
-        offer = functools.partial(self._graph.offer, self._node)
+        offer = self._node.offer
         offer(SWITCH_SERVICE, "moveit_msgs/ServoCommandType", switch, rule=SWITCHING)
         offer(PAUSE_SERVICE, "std_srvs/SetBool", lambda request: pause(paused=request["data"]), rule=SWITCHING)
         offer(STOP_SERVICE, "std_srvs/Trigger", stop, rule=STOPPING)
@@ -346,4 +340,4 @@ class ServoNode:
         offer(RESET_SERVICE, "std_srvs/Empty", reset, rule=SWITCHING)
 
     def _present(self, client: object) -> bool:
-        return any(client in self._graph.publishers(topic) for topic, _ in _TOPICS.values())
+        return any(client in self._node.publishers(topic) for topic, _ in _TOPICS.values())

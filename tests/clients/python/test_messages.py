@@ -1,18 +1,16 @@
 """The client's message types are the server's."""
 
-import subprocess
 import sys
 
 from harness.server import ROOT
-from harness.waiting import TIMEOUT_S
+from tests.helpers.programs import run
 
 CLIENT = ROOT / "clients" / "python"
 
 
 def test_the_committed_message_types_are_generated_from_the_servers_tables() -> None:
     program = "import generate_messages; print(generate_messages.generated(), end='')"
-    path = {"PYTHONPATH": f"{CLIENT}:{ROOT}"}
-    done = subprocess.run([sys.executable, "-c", program], env=path, capture_output=True, text=True, timeout=TIMEOUT_S)
+    done = run(sys.executable, "-c", program, env={"PYTHONPATH": f"{CLIENT}:{ROOT}"})
     assert done.stdout == (CLIENT / "armbridge_client" / "messages.py").read_text(), (
         f"run PYTHONPATH=. python clients/python/generate_messages.py\n{done.stderr}"
     )

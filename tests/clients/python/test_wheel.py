@@ -2,13 +2,11 @@
 
 import os
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
 from harness.server import ROOT, RunningServer
-from harness.waiting import TIMEOUT_S
 from tests.helpers.programs import UV, environment_with, run
 
 PYENV = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
@@ -39,8 +37,7 @@ def python(version: str) -> str | None:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("wheel")
     # By way of the sdist, which therefore has all that is needed.
-    command = [UV, "build", "--out-dir", out, ROOT / "clients" / "python"]
-    subprocess.run(command, capture_output=True, timeout=TIMEOUT_S, check=True)
+    run(UV, "build", "--out-dir", out, ROOT / "clients" / "python", check=True)
     (made,) = out.glob("*.whl")
     return made
 

@@ -24,15 +24,6 @@ READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
 POST = thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)
 
 
-@pytest.fixture
-def space_in(changing, arm):
-    def build(surroundings, **arguments):
-        assert changing.set_scene(surroundings) is None
-        return JointSpace(changing, arm.joints, np.zeros(6), **arguments)
-
-    return build
-
-
 def motion(names, points, period_s=0.1):
     """A smooth motion through points that rests in its ends."""
     points = np.asarray(points, dtype=float)

@@ -12,15 +12,6 @@ from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 HOME, TURNED = np.zeros(5), np.array([1.0, 0.0, 0.0, 0.0, 0.0])
 
 
-@pytest.fixture
-def space_in(changing, arm):
-    def build(surroundings):
-        changing.set_scene(surroundings)
-        return JointSpace(changing, arm.joints, np.zeros(6))
-
-    return build
-
-
 def test_lines_through_the_arm_are_blocked_from_either_side(joint_space):
     for start, end in BLOCKED_LINES:
         assert not joint_space.line_free(np.array(start), np.array(end))

@@ -7,7 +7,12 @@ from planners.motions import curve as curves
 from planners.motions.curve import TICK_S, Curve, averaged, from_moving, line, polyline, same_point, window_ticks
 from planners.problem import RateLimits
 from tests.helpers.resources import examples
-from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
+from tests.planners.invariants import (
+    assert_from_rest_to_rest,
+    assert_keeps_rates,
+    assert_well_formed,
+    least_time_of_line_s,
+)
 
 NAMES = ("a", "b")
 LIMITS = RateLimits(np.array([2.0, 1.2]), np.array([6.0, 3.0]), np.array([60.0, 50.0]))
@@ -83,13 +88,6 @@ points = st.tuples(*[st.floats(-2.0, 2.0, allow_nan=False).map(lambda value: rou
 velocities = st.tuples(*[st.floats(-0.99, 0.99)] * 3).map(lambda share: np.array(share) * ABC_LIMITS.velocity_rad_s)
 
 
-def least_time_of_one_s(velocity, acceleration):
-    """Least time from rest to rest over a distance of one."""
-    if velocity**2 / acceleration > 1.0:
-        return 2.0 * np.sqrt(1.0 / acceleration)
-    return 1.0 / velocity + velocity / acceleration
-
-
 @given(st.lists(points, min_size=1, max_size=6).map(np.array))
 @examples(60)
 def test_every_polyline_is_timed_from_rest_to_rest_within_the_limits(corners):
@@ -105,10 +103,7 @@ def test_a_line_takes_the_least_time_of_its_tightest_joint(goal):
     if same_point(goal, np.zeros(3)):
         return
     duration_s = TICK_S * line(np.zeros(3), goal, ABC_LIMITS).duration_ticks
-    # Joints keep to the line, so the tightest velocity and acceleration may be those of different joints.
-    share = np.maximum(np.abs(goal), 1e-9)
-    tightest = np.min(ABC_LIMITS.velocity_rad_s / share), np.min(ABC_LIMITS.acceleration_rad_s2 / share)
-    bound_s = least_time_of_one_s(*tightest)
+    bound_s = least_time_of_line_s(goal, ABC_LIMITS)
     assert bound_s - 1e-9 <= duration_s <= bound_s + 3.0 * TICK_S
 
 

@@ -1,5 +1,4 @@
 import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -12,14 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import CubicSpline
 
-from harness.server import ROOT
-from harness.waiting import TIMEOUT_S
 from planners.motions.path_timing import time_along, toppra_profile, within_limits
 from planners.motions.spline import NaturalSpline
 from planners.problem import RateLimits
 from robot.trajectory import Trajectory
+from tests.helpers.programs import run
 from tests.helpers.resources import examples
-from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed, fine_samples
+from tests.planners.invariants import (
+    assert_from_rest_to_rest,
+    assert_keeps_rates,
+    assert_well_formed,
+    fine_samples,
+    least_time_of_line_s,
+)
 
 NAMES = ("a", "b", "c")
 LIMITS = RateLimits(np.array([2.0, 1.2, 1.6]), np.array([6.0, 3.0, 5.0]))
@@ -50,13 +54,6 @@ def spline(points):
 
 def straight(*goal, points=9):
     return np.linspace(0.0, 1.0, points)[:, np.newaxis] * np.array(goal)
-
-
-def least_time_s(distance, velocity, acceleration):
-    """Least time from rest to rest over a distance."""
-    if distance < velocity**2 / acceleration:
-        return 2.0 * np.sqrt(distance / acceleration)
-    return distance / velocity + velocity / acceleration
 
 
 def test_a_motion_that_would_take_too_long_is_not_sampled() -> None:
@@ -91,8 +88,7 @@ def test_the_motion_stays_on_the_curve(points):
 @given(st.tuples(*[coordinates] * 3).map(np.array).filter(lambda goal: np.abs(goal).max() > 0.01))
 def test_a_straight_line_takes_the_least_time_there_is(goal):
     motion = time_along(spline(straight(*goal)), NAMES, LIMITS)
-    share = np.maximum(np.abs(goal), 1e-12)
-    bound_s = least_time_s(1.0, np.min(LIMITS.velocity_rad_s / share), np.min(LIMITS.acceleration_rad_s2 / share))
+    bound_s = least_time_of_line_s(goal, LIMITS)
     assert bound_s - 1e-9 <= motion.duration_s <= 1.03 * bound_s
 
 
@@ -123,15 +119,8 @@ def test_a_path_without_any_timing_or_that_toppra_cannot_time_has_none(monkeypat
 
 def test_no_warning_is_shown_where_toppra_is_compiled(tmp_path: Path) -> None:
     """As at the first start after an installation that compiles nothing, and at each where nothing can be kept."""
-    done = subprocess.run(
-        [sys.executable, "-W", "always", "-c", "import planners.motions.path_timing"],
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPYCACHEPREFIX": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=TIMEOUT_S,
-        check=True,
-    )
+    program = [sys.executable, "-W", "always", "-c", "import planners.motions.path_timing"]
+    done = run(*program, env={**os.environ, "PYTHONPYCACHEPREFIX": str(tmp_path)}, check=True)
     assert "toppra" not in done.stderr
 
 

@@ -173,14 +173,6 @@ def test_a_target_far_away_is_approached_at_the_greatest_speed_and_one_near_slow
     assert near.linear_m_s == pytest.approx([0.01 * steering.GAIN_PER_S, 0.0, 0.0])
 
 
-def test_a_tip_that_is_held_back_is_hardly_pulled_and_not_turned():
-    anchor, turned = Anchor(Pose((0.1, 0.0, 0.0)), along=(0.0, 0.0, 1.0)), tip(turn_rad=(0.3, 0.0, 0.0))
-    found = steering.relaxed_anchor(anchor, turned)
-    assert found.pose.position_m == pytest.approx((steering.HELD_DRIFT_M, 0.0, 0.0))
-    assert found.along == anchor.along
-    assert steering.twist_motion(TipTwist(), turned, found).drift_rad == pytest.approx(0.0, abs=1e-9)
-
-
 AROUND = steering.VelocityBounds(np.zeros((5, 2)), np.zeros(5), [NearPair("hand", "table", True, 0.012, np.zeros(2))])
 LIMIT_OF_B, NEAR_TABLE = 3, 4
 

@@ -6,22 +6,20 @@ import itertools
 import signal
 import time
 from collections.abc import AsyncIterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from harness.server import read_write_log
 from harness.waiting import TIMEOUT_S, until
-from robot.arm import RESTART_LINES, Arm, start_arm_process
+from robot.arm import RESTART_LINES, start_arm_process
 from robot.control.supervisor import SIMULATED_WATCHDOG_S
 from robot.faults import FaultCode
-from robot.hardware.config import SerialConfig
 from robot.messages import ArmState, ChangePace, EndState, Mode, Order, Outcome, Pace
 from robot.processes import RestartDelay, StartedChild
 from robot.stop_epochs import STOP_EPOCHS
 from tests.helpers.arm_on_servos import ArmOnServos, to
-from tests.helpers.arm_rig import CALIBRATION, CONFIG
+from tests.helpers.arm_rig import CALIBRATION
 from tests.helpers.resources import no_descriptors_left, runs
 
 
@@ -227,19 +225,6 @@ async def test_an_arm_process_comes_back_where_clients_have_used_up_all_descript
             await until(lambda killed=killed: restarted.arm.pid != killed and restarted.arm.state.mode is Mode.HOLDING)
 
 
-async def test_a_control_socket_that_cannot_be_made_leaves_the_arm_disconnected_with_the_reason(tmp_path: Path) -> None:
-    (tmp_path / "control").write_text("mine")
-    rig = ArmOnServos(tmp_path)
-    await rig.arm.start(TIMEOUT_S)
-    first = rig.arm.pid
-    assert rig.arm.state.mode is Mode.DISCONNECTED
-    assert "the emulated servos cannot be made: [Errno 98] Address already in use" in rig.arm.state.reason
-    (tmp_path / "control").unlink()
-    await until(lambda: rig.arm.state.mode is Mode.HOLDING)
-    assert rig.arm.pid == first
-    await rig.arm.close()
-
-
 async def test_a_speed_factor_also_holds_for_an_arm_process_that_is_started_anew(rig: ArmOnServos) -> None:
     rig.arm.change_pace(ChangePace(speed_factor=0.5))
     rig.kill()
@@ -261,18 +246,6 @@ async def test_who_asks_while_the_arm_is_being_started_waits_for_it_up_to_a_limi
     await asyncio.wait_for(waiting, TIMEOUT_S)
     assert made.arm.state.mode is Mode.HOLDING
     await made.arm.close()
-
-
-async def test_a_port_that_does_not_exist_is_reported_and_tried_again() -> None:
-    states: list[ArmState] = []
-    arm = Arm(replace(CONFIG, hardware=SerialConfig(CALIBRATION, "/dev/does-not-exist")), states.append)
-    await arm.start(TIMEOUT_S)
-    assert arm.state.mode is Mode.DISCONNECTED
-    assert "/dev/does-not-exist does not exist" in arm.state.reason
-    refused = await asyncio.wait_for(arm.execute(to(0.5)), TIMEOUT_S)
-    assert refused.outcome is Outcome.BUS_LOST
-    await until(lambda: len(states) >= 3)
-    await arm.close()
 
 
 @pytest.fixture

@@ -169,19 +169,6 @@ def test_no_namesake_is_imported_from_the_working_directory(tmp_path: Path, monk
     assert processes.start_module("server.cli", ["--help"], ()).wait(TIMEOUT_S) == 0
 
 
-def test_with_descriptors_in_reserve_a_child_is_started_when_all_others_are_used_up() -> None:
-    reserve = DescriptorReserve()
-    reserve.fill()
-    with no_descriptors_left():
-        with pytest.raises(OSError, match="Too many open files"):
-            StartedChild(ECHO)
-        with reserve.lent():
-            started = StartedChild(ECHO)
-    started.close()
-    reserve.close()
-    assert len(reserve._held) == 0
-
-
 def test_the_reserve_is_filled_again_as_far_as_it_goes() -> None:
     reserve = DescriptorReserve(4)
     reserve.fill()

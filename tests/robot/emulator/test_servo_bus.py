@@ -262,13 +262,6 @@ def test_a_delayed_reply_has_passed_the_wire_and_holds_up_those_behind_it():
     assert behind.end_s < late.due_s <= behind.due_s
 
 
-def test_without_wire_time_every_reply_is_there_at_once_whatever_the_return_delay():
-    bus = bus_with(wire_time=False)
-    bus.servos[0].write(Register.RETURN_DELAY, bytes([250]))
-    assert [reply.due_s for reply in bus.receive(BLOCK_READ, 5.0)] == [5.0] * 6
-    assert said(bus, packet(1, PING), 5.0) == FEETECH_CODEC.status_packet(1, 0)
-
-
 @pytest.fixture
 def feetechs() -> Wire:
     return Wire(FEETECH)

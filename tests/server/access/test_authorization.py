@@ -11,8 +11,7 @@ from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
 from server.access.settings import AccessSettings
 from server.graph import permissions
-from server.graph.node import Node
-from server.graph.permissions import ANYONE, WORKING, Identity, NameFilter, Role
+from server.graph.permissions import ANYONE, WORKING, Identity, NameFilter, Node, Role
 from server.graph.topics import Graph, Subscriber
 from server.moveit.services import description
 from tests.helpers.clock import FakeClock
@@ -290,7 +289,7 @@ def test_a_client_that_uses_many_topics_takes_no_more_memory_for_it() -> None:
     authorizer = World().authorizer()
     for number in range(2 * MAX_SETTLED):
         assert asked(authorizer, "publish", f"/t{number}") is None
-    assert len(authorizer._settled) == MAX_SETTLED
+    assert len(authorizer.settled) == MAX_SETTLED
 
 
 def test_an_auth_without_a_token_names_the_missing_field() -> None:

@@ -10,9 +10,8 @@ from server.access.authorization import Access
 from server.access.control_lease import RESERVED_S, ControlLease, ControlServices
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import Identity, Node, Role
+from server.graph.topics import LocalGraph
 from tests.helpers.gateway import InProcess
 
 GOAL = RunningGoal("goal 5 of a from /execute_trajectory", 33.2)

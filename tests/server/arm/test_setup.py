@@ -76,6 +76,14 @@ def test_another_description_alone_is_an_ideal_arm_which_has_no_servos_to_trim(i
         Description.read(ArmSettings(**ideal, zero_offset_rad={"a1": 0.1}))
 
 
+@pytest.mark.parametrize("named", [{}, {"robot": "fetch"}])
+def test_the_packages_of_the_meshes_are_looked_for_in_the_folders_of_the_settings(
+    ideal: dict[str, Path], tmp_path: Path, named: dict[str, str]
+) -> None:
+    settings = ArmSettings(**(named or ideal), package_path=[tmp_path])
+    assert tmp_path in Description.read(settings).robot.package_directories
+
+
 def hardware_of(**settings: Any) -> HardwareConfig:
     made = Settings(**settings)
     return arm_config(made, Description.read(made.arm)).hardware

@@ -5,9 +5,8 @@ from harness.clients import values_of
 from robot.faults import Fault, FaultCode
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, states_are_observed
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.topics import Graph, Subscriber
+from server.graph.permissions import Node
+from server.graph.topics import Graph, LocalGraph, Subscriber
 from tests.helpers.graph import listen
 from tests.helpers.messages import REGISTRY
 from tests.helpers.robots import nominal_calibration, so101

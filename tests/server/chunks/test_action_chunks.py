@@ -18,11 +18,12 @@ from server.chunks.action_chunks import ACTION_TYPE, MAX_JUMP_RAD, PAUSE_S, Poli
 from server.chunks.gripper import SETTLES_S
 from server.execution.executor import CHECKS_AHEAD
 from server.execution.motions import SENDINGS_S
-from server.graph.node import Node
+from server.graph.permissions import Node
 from tests.helpers import stage as stage_module
 from tests.helpers.arm_rig import BOUNDS, NAMES
 from tests.helpers.fake_arm import HOME
 from tests.helpers.graph import listen
+from tests.helpers.messages import time_message
 from tests.helpers.stage import ARM_JOINTS, COLUMNS, RecordedStage, inline_threads
 
 pytestmark = pytest.mark.stepped_time
@@ -34,20 +35,15 @@ NAME, TYPE = "/arm/chunks", "armbridge_msgs/ActionChunk"
 PAUSE, RESUME, STOP = (f"{NAME}/{service}" for service in ("pause", "resume", "stop"))
 
 
-def seconds(duration_s: float) -> dict[str, int]:
-    whole = int(duration_s // 1.0)
-    return {"sec": whole, "nanosec": round((duration_s - whole) * 1e9)}
-
-
 def chunk(
     positions_rad: Any, names: tuple[str, ...] = ARM_JOINTS, stamp_s: float = 0.0, **fields: Any
 ) -> dict[str, Any]:
     """Return a chunk of targets at 30 Hz, the first a period after its stamp."""
     points = [
-        {"positions": list(row), "time_from_start": seconds((index + 1) / HZ)}
+        {"positions": list(row), "time_from_start": time_message((index + 1) / HZ)}
         for index, row in enumerate(np.asarray(positions_rad).tolist())
     ]
-    header = {"stamp": seconds(stamp_s)}
+    header = {"stamp": time_message(stamp_s)}
     return {"trajectory": {"header": header, "joint_names": list(names), "points": points}, **fields}
 
 
@@ -199,7 +195,7 @@ def put(index: int, positions: list[float]) -> Callable[[dict[str, Any]], None]:
 
 
 def stamped(at_s: float) -> Callable[[dict[str, Any]], None]:
-    return lambda trajectory: trajectory["header"].update(stamp=seconds(FAR_S + at_s))
+    return lambda trajectory: trajectory["header"].update(stamp=time_message(FAR_S + at_s))
 
 
 # Fields of the chunk, a change of its trajectory, and words of the refusal.
@@ -207,7 +203,7 @@ HOSTILE: list[tuple[dict[str, Any], Callable[[dict[str, Any]], None], str]] = [
     ({}, put(3, [float("nan"), 0, 0, 0, 0]), "points[3].positions has a value that is not a finite number"),
     ({}, put(3, [0.0, 0.0]), "points[3].positions has 2 values for 5 joints"),
     ({}, lambda each: each.update(joint_names=["hand", *ARM_JOINTS[1:]]), "unknown joint 'hand'"),
-    ({}, lambda each: each["points"][2].update(time_from_start=seconds(0.01)), "must be after the time"),
+    ({}, lambda each: each["points"][2].update(time_from_start=time_message(0.01)), "must be after the time"),
     ({}, lambda each: each.update(points=[]), "points has 0 entries"),
     ({"blend": "melt"}, lambda _each: None, "blend must be one of replace, ensemble, real_time, not 'melt'"),
     ({"weight": 1.5}, lambda _each: None, "weight must be 0 to 1, not 1.5"),
@@ -400,7 +396,7 @@ async def test_a_leader_takes_over_and_gives_back(policy: Policy) -> None:
         for number in range(250):
             at_s = 0.02 * number
             sample = {
-                "header": {"stamp": seconds(5.0 + at_s)},
+                "header": {"stamp": time_message(5.0 + at_s)},
                 "name": ["shoulder_pan"],
                 "position": [-0.2 - 0.1 * at_s],
             }

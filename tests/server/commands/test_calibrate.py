@@ -1,13 +1,18 @@
 """``armbridge calibrate`` on stepped servos: the hand moves while the command sleeps between its readings."""
 
+import functools
+import itertools
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 
 import pytest
 
 from robot.calibration import Calibration, save
 from robot.emulator.plant import HAND_TICKS_S
+from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import Register
+from robot.hardware.interface import run_to_end
 from server.commands import calibrate
 from server.commands.terminal import ExitCode
 from tests.helpers.robots import SO101_SERVOS, nominal_calibration
@@ -135,3 +140,26 @@ def test_offsets_that_another_program_has_written_are_written_back_after_a_yes(a
     assert "HOMING_OFFSET" in answer.stderr
     assert held(bus, ELBOW)[0] == (calibrated[0] if code is ExitCode.DONE else 200)
     assert held(bus, ELBOW)[1:] == calibrated[1:]
+
+
+@pytest.mark.parametrize(
+    ("number", "step"), [*((signal.SIGINT, step) for step in range(2, 8)), (signal.SIGTERM, 5), (signal.SIGHUP, 5)]
+)
+def test_a_signal_between_two_writes_leaves_a_servo_locked_with_all_of_its_values_or_none(
+    armbridge, bus, tmp_path, monkeypatch, number, step
+):
+    save(nominal_calibration(), tmp_path / "arm.json")
+    calibrated = held(bus, ELBOW)
+    for register, shifted in ((Register.HOMING_OFFSET, 200), (Register.MIN_ANGLE_LIMIT, 900)):
+        bus.write(ELBOW, register, shifted)
+    before, waits = held(bus, ELBOW), itertools.count()
+
+    def wait(_seconds):
+        if next(waits) == step:
+            signal.raise_signal(number)
+
+    at_close = []
+    monkeypatch.setattr(Bus, "close", lambda _bus: at_close.append((held(bus, ELBOW), bus.read(ELBOW, Register.LOCK))))
+    monkeypatch.setattr(calibrate, "run_to_end", functools.partial(run_to_end, wait=wait))
+    assert armbridge("calibrate", str(tmp_path / "arm.json"), "--write-back", "--yes").returncode == ExitCode.FAILED
+    assert at_close[0] in ((before, 1), (calibrated, 1))

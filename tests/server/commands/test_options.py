@@ -92,19 +92,6 @@ def test_a_new_setting_is_explained_everywhere_by_its_one_line(monkeypatch, caps
 
 
 @pytest.mark.parametrize(
-    ("option", "value", "words"),
-    [
-        ("--port", "many", "server.port: Input should be a valid integer"),
-        ("--log-level", "loud", "server.log_level: Input should be 'debug', 'info', 'warning' or 'error'"),
-        ("--record-limit-mb", "0", "recording.limit_mb: Input should be greater than or equal to 1"),
-    ],
-)
-def test_an_option_out_of_range_is_refused_by_its_setting(option, value, words):
-    with pytest.raises(ConfigurationError, match=words):
-        read_settings(options(option, value))
-
-
-@pytest.mark.parametrize(
     ("command", "option", "value", "words"),
     [
         ("camera test", "--connect", "http://x", "must begin with ws:// or wss://, not 'http://x'"),

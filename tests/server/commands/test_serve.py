@@ -1,13 +1,9 @@
-import contextlib
 import re
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from harness.waiting import TIMEOUT_S, running
-from robot.hardware.feetech.bus import Bus
 from server import cli
 from server.app import App
 from server.commands.terminal import ExitCode
@@ -112,15 +108,3 @@ def test_a_replay_has_the_settings_of_a_file_and_needs_a_token(
 def test_a_start_that_cannot_be_is_told_in_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["emulate", "--start=0,0"]) == ExitCode.FAILED
     assert "armbridge: the start pose needs 6 positions, not 2" in capsys.readouterr().err
-
-
-def test_it_prints_the_port_of_six_servos_and_runs_until_told_to_end(tmp_path: Path) -> None:
-    link = tmp_path / "arm"
-    command = [sys.executable, "-m", "server.cli", "emulate", "--link", str(link)]
-    with running(command, stdout=subprocess.PIPE) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline().strip() == str(link.readlink())
-        with contextlib.closing(Bus.open(str(link))) as bus:
-            assert [bus.ping(servo_id) for servo_id in range(1, 7)] == [777] * 6
-        process.terminate()
-        assert process.wait(TIMEOUT_S) == 0

@@ -6,7 +6,7 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from server.datasets.episodes import EPISODE_TOPIC, EPISODE_TYPE, START, Episode, Mark, episodes_of, parse_mark
 from server.datasets.marking import DISCARD_SERVICE, START_SERVICE, STATE, STATE_TYPE, STOP_SERVICE, EpisodeServices
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.graph import called, listen
 from tests.server.recordings import REGISTRY

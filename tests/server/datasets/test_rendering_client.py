@@ -31,7 +31,7 @@ async def client_of(
     async with serve(answer, "127.0.0.1", 0) as server:
         target = PublishedTopic(f"ws://127.0.0.1:{server.sockets[0].getsockname()[1]}", CAMERA.topic, None)
         client = RenderingClient(target, so101(), CAMERA, told.append)
-        running = asyncio.create_task(client.keep_connected())
+        running = asyncio.create_task(client.run())
         yield client
         await given_up(running)
 

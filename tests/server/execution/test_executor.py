@@ -27,8 +27,8 @@ from planners.scene import Scene
 from robot.control.pacing import PERIOD_S
 from robot.messages import ArmState, Mode, MotionEnded, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
-from server.execution import player
-from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
+from server.execution import executor as execution
+from server.execution.executor import CODE_OF_OUTCOME, MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
 from server.execution.failures import FailedGoals
 from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.monitors import CurrentScene, CurrentState
@@ -36,12 +36,12 @@ from server.execution.motions import (
     STATE_AGE_S,
     TICK_LATE_S,
     ExternalTrajectory,
+    MotionsInProgress,
     PathTime,
     PlannedMotion,
     Positions,
     SplicePoint,
 )
-from server.execution.player import CODE_OF_OUTCOME, MotionsInProgress
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm, StubbornArm, settle
 from tests.helpers.motions import STILL, smooth_move
@@ -401,7 +401,7 @@ async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lag
     assert "is 0.000 rad behind; stopped half-way" in answer.message
 
 
-LOOKS_S = 10.0 * player.PROGRESS_PERIOD_S
+LOOKS_S = 10.0 * execution.PROGRESS_PERIOD_S
 LIMITS = TimeLimits(scaling=3.0)
 
 
@@ -411,12 +411,12 @@ async def test_the_end_of_an_outgoing_motion_is_awaited_by_the_arms_clock() -> N
     await stage.begin(to(shoulder_pan=0.4))
     stage.goal.cancel("preempted by a test", replaced=True)
     await stage.answer()
-    resting = asyncio.create_task(stage.executor._player.stop_outgoing())
+    resting = asyncio.create_task(stage.executor._stop_outgoing())
     await asyncio.sleep(LOOKS_S)
-    stage.arm.pass_time(0.9 * player.BRAKING_TIMEOUT_S)
+    stage.arm.pass_time(0.9 * execution.BRAKING_TIMEOUT_S)
     await asyncio.sleep(LOOKS_S)
     assert not resting.done()
-    stage.arm.pass_time(0.2 * player.BRAKING_TIMEOUT_S)
+    stage.arm.pass_time(0.2 * execution.BRAKING_TIMEOUT_S)
     await asyncio.wait_for(resting, TIMEOUT_S)
 
 
@@ -570,9 +570,8 @@ async def test_a_given_trajectory_whose_check_was_late_takes_over_just_behind_th
 ) -> None:
     await under_way(stage)
     for trajectory in (*(Checked(stage, 0.004) for _ in range(5)), Checked(stage, 0.008, 0.004)):
-        tick_s, outgoing, stage.news = stage.clock() - 0.003, stage.executor._player.outgoing, []
-        path_time = PathTime(tick_s, 0.2, 1.0, at_tick=True)
-        stage.executor._player.outgoing = replace(cast("Any", outgoing), path_time=path_time)
+        tick_s, outgoing, stage.news = stage.clock() - 0.003, cast("Any", stage.executor._outgoing), []
+        outgoing.path_time = PathTime(tick_s, 0.2, 1.0, at_tick=True)
         await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM)))
         await until(lambda: any(each.state is GoalState.EXECUTING for each in stage.news))
         stage.arm.show(0.2)
@@ -612,8 +611,8 @@ async def test_a_given_trajectory_that_came_too_late_is_sent_again_three_times(s
 
 
 def be_nowhere_to_leave(stage: Stage) -> None:
-    outgoing: Any = stage.executor._player.outgoing
-    stage.executor._player.outgoing = replace(outgoing, path_time=PathTime(0.0, 0.0, 0.0))
+    outgoing: Any = stage.executor._outgoing
+    outgoing.path_time = PathTime(0.0, 0.0, 0.0)
 
 
 # Planning takes too long, there is no plan, the arm has left the place, or it goes back.

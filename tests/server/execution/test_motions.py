@@ -46,15 +46,15 @@ async def test_each_step_is_planned_from_where_the_one_before_ends() -> None:
     planned = await motions.plan_sequence([to(0.3), to(0.7)], START, EMPTY_SCENE, planning)
     assert planning.starts == [START, {"a": 0.3, "b": 0.5}]
     assert planned.failure is None
-    assert len(planned.performed.planned) == 2
-    assert (planned.duration_s, planned.performed.planning_time_s) == (2.0, 0.5)
+    assert len(planned.planned) == 2
+    assert (planned.duration_s, planned.planning_time_s) == (2.0, 0.5)
     assert planned.summary == "a motion of 2.0 s (straight line, straight line; planned in 500 ms)"
 
 
 async def test_the_motions_before_a_failure_are_kept_and_the_item_is_named() -> None:
     planning: Any = Planning()
     planned = await motions.plan_sequence([to(0.3), to(2.0), to(0.1)], START, EMPTY_SCENE, planning)
-    assert len(planned.performed.planned) == 1
+    assert len(planned.planned) == 1
     assert planned.failure == replace(WALL, message="items[1]: there is a wall", details={"pairs": [], "item": 1})
     assert planned.problem is not None
 

@@ -20,7 +20,7 @@ from server.config import Settings
 from server.datasets.rendered import CannotRender, LoadCameras, PublishedCamera, Render, Rendered
 from server.features import cameras
 from server.features.cameras import IDLE_S, MAX_FAILURES, SILENT_S, Cameras, cameras_of
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from server.moveit.services.description import TransformsTopics
 from tests.helpers.graph import answered

@@ -16,10 +16,8 @@ from robot.physics.bodies import MAX_BODIES, BodyState, BodyStates, SetBodies
 from server.config import NamedArmSettings, Settings
 from server.errors import ConfigurationError
 from server.features.physics import DROPPED_AFTER_S, MAX_STEPS, RELEASED_AFTER_S, ArmWorld, Physics
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.permissions import Role, Rule
-from server.graph.topics import Graph
+from server.graph.permissions import Node, Role, Rule
+from server.graph.topics import Graph, LocalGraph
 from tests.helpers.graph import answered
 from tests.helpers.moveit import REGISTRY, ROBOT, box, current_state, diff, held, pose, scene_state
 

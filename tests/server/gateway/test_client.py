@@ -12,8 +12,7 @@ from protocol.session import Refusal
 from server.access.settings import AccessSettings
 from server.errors import UnsuccessfulError
 from server.gateway.client_context import MAX_UNASKED_ERRORS
-from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import Identity, Node, Role
 from server.graph.topics import Subscriber
 from tests.helpers.gateway import InProcess
 

@@ -4,8 +4,7 @@ import pytest
 
 from protocol.limits import Limits
 from server.gateway import client_requests
-from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import Identity, Node, Role
 from server.graph.services import Call
 from tests.helpers.gateway import InProcess
 

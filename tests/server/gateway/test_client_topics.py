@@ -8,8 +8,7 @@ from protocol.limits import Limits
 from protocol.session import Session
 from server.gateway.client import Client
 from server.graph import latching
-from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import Identity, Node, Role
 from server.graph.topics import UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from tests.helpers.gateway import InProcess
 

@@ -14,7 +14,7 @@ from server.access.settings import AccessSettings
 from server.gateway import connection
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import TIMEOUT_S, listening, receive, say, warnings_of
 from tests.helpers.messages import REGISTRY

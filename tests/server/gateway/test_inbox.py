@@ -19,7 +19,7 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE
 from server.arrival import arrival_epoch
 from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, STOP_TURN_S, Inbox, Waiting
-from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, ClientScheduling, Turns
+from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import UnreadSocket
@@ -56,11 +56,10 @@ class World:
     def __init__(self) -> None:
         self.clock = FakeClock()
         self._soon: deque[Callable[[], object]] = deque()
-        self.turns = Turns(self._soon.append, self.clock)
         self.threads = Later()
+        self.turns = Turns(self._soon.append, self.clock, self.threads, self.clock.call_later)
         self.done: list[str] = []
         self.last_stop = 0
-        self.scheduling = ClientScheduling(self.turns, self.threads, self.clock.call_later)
 
     def client(self, name: str = "", step_s: float = 0.0) -> Handler:
         return Handler(self, name, step_s)
@@ -87,7 +86,7 @@ class Handler:
         context = SimpleNamespace(
             session=self.session,
             graph=SimpleNamespace(message_types=TYPES),
-            gateway=SimpleNamespace(scheduling=world.scheduling),
+            gateway=SimpleNamespace(turns=world.turns),
             transport=self.socket,
             clock=world.clock,
         )

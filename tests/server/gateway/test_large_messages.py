@@ -14,7 +14,7 @@ from server.gateway import connection
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.gateway.turns import Threads, encode_or_log
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import listening, receive, say
 from tests.helpers.messages import REGISTRY

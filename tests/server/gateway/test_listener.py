@@ -1,6 +1,5 @@
 import asyncio
 import contextlib
-import errno
 import resource
 import socket
 import ssl
@@ -18,9 +17,9 @@ from server.access.settings import AccessSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway import listener as listener_module
 from server.gateway.admission import ConnectionLimiter
-from server.gateway.listener import LIST_PERIOD_S, SPARE, ClientList, Listener, Place, Tls, listen
+from server.gateway.listener import LIST_PERIOD_S, SPARE, ClientList, Listener, Tls, listen
 from server.gateway.settings import ServerSettings
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import (
@@ -288,7 +287,7 @@ async def test_closing_ends_every_connection(listener: Listener) -> None:
     assert websocket.close_code == 1001
 
 
-IPV4, IPV6 = Place(socket.AF_INET, "127.0.0.1", 0), Place(socket.AF_INET6, "::1", 0)
+IPV4, IPV6 = (socket.AF_INET, ("127.0.0.1", 9090)), (socket.AF_INET6, ("::1", 9090, 0, 0))
 
 
 def has_ipv6() -> bool:
@@ -304,7 +303,7 @@ async def test_a_host_is_all_its_addresses_and_no_host_those_of_the_machine() ->
     assert await listener_module.resolve("127.0.0.1", 9090) == [IPV4]
     assert await listener_module.resolve("::1", 9090) == [IPV6]
     assert IPV4 in await listener_module.resolve("localhost", 9090)
-    assert "0.0.0.0" in {place.address for place in await listener_module.resolve("", 9090)}
+    assert "0.0.0.0" in {address[0] for _, address in await listener_module.resolve("", 9090)}
 
 
 async def test_a_name_that_there_is_not_is_told() -> None:
@@ -323,25 +322,8 @@ def test_both_families_get_the_same_free_port() -> None:
             socket.create_connection((address, one.getsockname()[1]), timeout=30.0).close()
 
 
-@pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
-def test_a_free_port_that_is_taken_in_the_other_family_is_given_up_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    tries: list[int] = []
-    listen_on = listener_module._listen_on
-
-    def listen_on_taken(place: Place, port: int, *, alone: bool) -> socket.socket:
-        tries.append(port)
-        if len(tries) == 2:
-            raise OSError(errno.EADDRINUSE, "taken")
-        return listen_on(place, port, alone=alone)
-
-    monkeypatch.setattr(listener_module, "_listen_on", listen_on_taken)
-    for made in listen([IPV4, IPV6], "localhost", 0):
-        made.close()
-    assert len(tries) == 4
-
-
 def test_a_family_that_the_machine_has_not_is_left_out() -> None:
-    elsewhere = Place(socket.AF_INET, "192.0.2.1", 0)
+    elsewhere = socket.AF_INET, ("192.0.2.1", 0)
     (made,) = listen([elsewhere, IPV4], "both", 0)
     with made:
         assert made.getsockname()[0] == "127.0.0.1"
@@ -353,7 +335,7 @@ def test_a_taken_port_is_told_and_nothing_stays_open(recwarn: pytest.WarningsRec
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(StartError, match=f"port in use: localhost:{port} is taken by another program"):
-            listen([Place(socket.AF_INET, "127.0.0.2", 0), IPV4], "localhost", port)
+            listen([(socket.AF_INET, ("127.0.0.2", 0)), IPV4], "localhost", port)
     assert not recwarn.list
 
 

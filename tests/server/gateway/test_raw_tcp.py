@@ -21,7 +21,7 @@ from server.gateway import connection, transport
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import OUT_OF_MEMORY, TcpStream
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from tests.conformance.players import TURNS, serving, streams_of, until_read
 from tests.helpers.gateway import REGISTRY, TIMEOUT_S, until_empty, warnings_of

@@ -15,7 +15,7 @@ from server.graph.actions import (
     GoalStatus,
     Result,
 )
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.clock import FakeClock
 from tests.helpers.graph import answered

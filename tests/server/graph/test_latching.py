@@ -4,7 +4,7 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from server.graph import latching
 from server.graph.latching import LatchedMessages
-from server.graph.node import Node
+from server.graph.permissions import Node
 from tests.helpers.messages import REGISTRY
 
 

@@ -8,7 +8,7 @@ from protocol.errors import MessageError
 from server.graph.actions import Result
 from server.graph.list_limits import MAX_VALUES, ListLimits
 from server.graph.message_types import MessageTypes, ReceivedMessage
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.graph import answered
 from tests.helpers.messages import REGISTRY

@@ -6,7 +6,7 @@ import pytest
 from harness.waiting import TIMEOUT_S
 from server.errors import GraphError, ServiceError
 from server.graph.message_types import MessageTypes
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.services import LOCAL_TIMEOUT_S, MAX_TIMEOUT_S, Call, Response, Services
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import settle

@@ -8,8 +8,7 @@ from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from server.errors import GraphError
 from server.graph import latching, topics
-from server.graph.node import Node
-from server.graph.permissions import STOP_EVENT, STOPPING, Identity, Role
+from server.graph.permissions import STOP_EVENT, STOPPING, Identity, Node, Role
 from server.graph.topics import MAX_TOPICS_FOR_VIEWERS, MAX_TOPICS_OF_PUBLISHER, UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from tests.helpers.clock import FakeClock
 from tests.helpers.cost import count_calls

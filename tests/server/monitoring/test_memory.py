@@ -3,6 +3,7 @@ import gc
 import threading
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
 from server.monitoring import memory
@@ -157,20 +158,10 @@ async def test_while_something_moves_nothing_pauses_for_memory(rig: KeeperRig) -
     assert (len(rig.trims), rig.collector.made) == (1, 2)
 
 
-async def test_trims_in_vain_become_rare(rig: KeeperRig) -> None:
+async def test_trims_keep_their_distance(rig: KeeperRig) -> None:
     rig.resident += 10 * EXCESS_BYTES
-    await rig.check(2000)
-    waits = [after - before for before, after in zip(rig.trims, rig.trims[1:], strict=False)]
-    assert waits[:3] == [2 * memory.FIRST_TRIM_S, 4 * memory.FIRST_TRIM_S, 8 * memory.FIRST_TRIM_S]
-    assert max(waits) == memory.LONGEST_TRIM_S
-
-
-async def test_after_a_gain_the_next_trim_comes_soon_again(rig: KeeperRig) -> None:
-    rig.resident += 10 * EXCESS_BYTES
-    await rig.check(1000)
-    rig.gain = 4 * EXCESS_BYTES
-    await rig.check(int(memory.LONGEST_TRIM_S) + int(memory.FIRST_TRIM_S))
-    assert rig.trims[-1] - rig.trims[-2] == memory.FIRST_TRIM_S
+    await rig.check(int(3.5 * memory.TRIM_PERIOD_S))
+    assert np.diff(rig.trims).tolist() == [memory.TRIM_PERIOD_S] * 3
 
 
 async def test_all_is_collected_no_more_often_than_its_period(rig: KeeperRig) -> None:

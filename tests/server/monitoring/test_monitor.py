@@ -28,7 +28,7 @@ from robot.faults import FaultCode
 from robot.messages import Mode
 from robot.trajectory import Trajectory
 from server.execution.goal import Answer
-from server.execution.motions import Performed
+from server.execution.motions import NOTHING, Performed
 from server.gateway.connection import Traffic, TrafficCounts
 from server.monitoring import monitor as parts
 from server.monitoring.health import Health, Sources, check_health
@@ -119,7 +119,7 @@ def test_a_scrape_takes_little_of_the_event_loops_time(sources: Sources) -> None
 MOTION = Trajectory(("gripper",), np.array([0.0, 3.0]), np.zeros((2, 1)), np.zeros((2, 1)), np.zeros((2, 1)))
 
 
-def counted(*goals: tuple[str, int, Performed | None]) -> dict[tuple[str, ...], float]:
+def counted(*goals: tuple[str, int, Performed]) -> dict[tuple[str, ...], float]:
     """Samples after answers to goals: each by its source, its code, and how it was performed."""
     counters = GoalCounters()
     for source, code, performed in goals:
@@ -128,7 +128,7 @@ def counted(*goals: tuple[str, int, Performed | None]) -> dict[tuple[str, ...], 
 
 
 def test_answers_are_counted_by_where_their_goals_came_from_and_how_they_ended() -> None:
-    found = counted(("/a", 1, None), ("/a", 1, None), ("/a", -1, None), ("/b", 1, None))
+    found = counted(("/a", 1, NOTHING), ("/a", 1, NOTHING), ("/a", -1, NOTHING), ("/b", 1, NOTHING))
     assert {tuple(labels): value for (name, *labels), value in found.items() if name == "armbridge_goals_total"} == {
         ("/a", "SUCCESS"): 2,
         ("/a", "PLANNING_FAILED"): 1,
@@ -138,7 +138,7 @@ def test_answers_are_counted_by_where_their_goals_came_from_and_how_they_ended()
 
 def test_only_what_was_planned_and_moved_is_timed() -> None:
     moved, planned = Performed({}, executed=MOTION), Performed({}, planning_time_s=0.3)
-    found = counted(("/a", 99999, None), ("/a", 1, moved), ("/a", 1, planned))
+    found = counted(("/a", 99999, NOTHING), ("/a", 1, moved), ("/a", 1, planned))
     for name, value_s in (("planning", 0.3), ("motion", 3.0)):
         assert found[f"armbridge_goal_{name}_seconds_count",] == 1
         assert found[f"armbridge_goal_{name}_seconds_sum",] == pytest.approx(value_s)
@@ -296,6 +296,8 @@ async def test_a_fault_makes_the_server_unready_but_not_dead(served: ServerOnBus
 
 async def test_metrics_follow_what_happens(served: ServerOnBus, client: ArmClient) -> None:
     port = served.server.port
+    # The arm reports on its bus once a second.
+    await client.until("/diagnostics", lambda arrays: len(arrays[-1]["status"]) > 1)
     before = await asyncio.to_thread(metrics, port)
     # Its answer comes after all that was sent before.
     await client.call("/rosapi/get_time")

@@ -7,17 +7,17 @@ from typing import Any
 
 import pytest
 
-from harness.clients import ArmClient, values_of
-from harness.server import ServerOnBus
+from harness.clients import values_of
 from harness.waiting import until
 from robot import logs as changed
 from robot.faults import REMEDIES, SIMULATED_REMEDIES, Fault, FaultCode, ServoAlert, ServoWarning
 from robot.hardware.interface import StatusFlag
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from server.monitoring import ros_topics
 from server.monitoring.ros_topics import GET_LEVELS, MAX_REQUESTED, MAX_WAITING, SET_LEVELS, Rosout
+from tests.helpers.clock import FakeClock
 from tests.helpers.graph import answered, listen
 from tests.helpers.messages import REGISTRY
 
@@ -45,9 +45,15 @@ def timed(factor: float, rate: float = 1.0) -> dict[str, Any]:
 def statuses(
     state: ArmState = STATE, health: ArmHealth | None = HEALTH, health_age_s: float = 0.5, state_age_s: float = 0.5
 ) -> list[dict[str, Any]]:
-    told: list[dict[str, Any]] = ros_topics.diagnostic_array(state, health, 1e9, "so101", state_age_s, health_age_s)[
-        "status"
-    ]
+    graph, clock = Graph(REGISTRY), FakeClock()
+    diagnostics = ros_topics.Diagnostics(graph, "so101", lambda: None, clock)
+    heard = listen(graph, ros_topics.TOPIC)
+    diagnostics.take_state(state)
+    clock.advance(state_age_s)
+    if health is not None:
+        diagnostics.take_health(replace(health, monotonic_s=clock() - health_age_s))
+    diagnostics.publish()
+    told: list[dict[str, Any]] = heard[0]["status"]
     return told
 
 
@@ -155,23 +161,14 @@ def test_an_arm_is_as_old_as_a_clock_says_that_is_never_set(jump_s: float, monke
     diagnostics.take_state(STATE)
     diagnostics.take_health(HEALTH)
     monkeypatch.setattr(time, "time", lambda: STATE.stamp_s + jump_s)
-    diagnostics.publish(STATE)
+    diagnostics.publish()
     now_s += 4.0
-    diagnostics.publish(STATE)
+    diagnostics.publish()
     assert [[each["level"] for each in message["status"]] for message in heard] == [[0, 0], [3, 3]]
 
 
 def test_before_the_first_report_there_is_the_arm_alone() -> None:
     assert [status["name"] for status in statuses(health=None)] == ["arm"]
-
-
-async def test_a_silent_servo_shows_within_seconds(client: ArmClient, served: ServerOnBus) -> None:
-    served.emulator.command(offline=[3])
-
-    def shows(arrays: list[dict[str, Any]]) -> bool:
-        return ("arm: elbow_flex", 2) in [(status["name"], status["level"]) for status in arrays[-1]["status"]]
-
-    await client.until("/diagnostics", shows)
 
 
 pytestmark = pytest.mark.usefixtures("levels_are_put_back")

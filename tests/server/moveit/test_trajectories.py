@@ -19,6 +19,7 @@ from server.moveit.trajectories import (
     to_message,
 )
 from tests.helpers.fake_arm import HOME
+from tests.helpers.messages import time_message
 from tests.helpers.moveit import ROBOT, assert_refused, message, outcome
 from tests.helpers.resources import examples
 
@@ -26,9 +27,7 @@ JOINTS = ("shoulder_pan", "elbow_flex")
 
 
 def at(time_s, *positions, **fields):
-    whole = math.floor(time_s)
-    stamp = {"sec": whole, "nanosec": round((time_s - whole) * 1e9)}
-    return {"positions": list(positions), "time_from_start": stamp, **fields}
+    return {"positions": list(positions), "time_from_start": time_message(time_s), **fields}
 
 
 def read(*points, names=JOINTS, start_rad=HOME):

@@ -12,7 +12,7 @@ from harness.waiting import TIMEOUT_S, wait_until
 from protocol.codecs.cdr import deserialize
 from server.config import RecordingSettings
 from server.errors import StartError
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.recording import recorder as recorder_module
 from server.recording.files import RecordedMessage, RecordingSeries

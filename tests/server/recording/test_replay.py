@@ -18,7 +18,7 @@ from protocol.publication import PublishedMessage
 from server.access.settings import AccessSettings
 from server.errors import RecordingError
 from server.gateway.settings import ServerSettings
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from server.interfaces import load_registry
 from server.recording import replay as replay_module

@@ -15,10 +15,11 @@ from protocol.publication import PublishedMessage
 from robot.control.pacing import PERIOD_S
 from server.datasets.export import ExportOptions, export
 from server.datasets.samples import LEADER_TOPIC, STATE_TOPIC
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Subscriber
 from server.recording.files import RecordedMessage
 from tests.helpers.arm_rig import NAMES
+from tests.helpers.messages import time_message
 from tests.helpers.stage import RecordedStage, inline_threads
 from tests.server.recordings import REGISTRY, START_NS, entry, record
 
@@ -39,9 +40,8 @@ class Led(RecordedStage):
         loop = asyncio.get_running_loop()
         began_s = loop.time()
         while (at_s := loop.time() - began_s) < seconds:
-            stamp = {"sec": 5 + math.floor(at_s), "nanosec": round(at_s % 1.0 * 1e9)}
             position = [0.1, 0.0, 0.0, 0.0, 0.0, gripper_rad(at_s)]
-            sample = {"header": {"stamp": stamp}, "name": list(NAMES), "position": position}
+            sample = {"header": {"stamp": time_message(5.0 + at_s)}, "name": list(NAMES), "position": position}
             self.publish_now("/glove", "sensor_msgs/JointState", sample)
             await asyncio.sleep(2.0 * PERIOD_S)
         return float(self.goals_rad[-1][GRIPPER])

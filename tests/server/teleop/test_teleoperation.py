@@ -7,19 +7,19 @@ import pytest
 
 from protocol.publication import PublishedMessage
 from server.errors import ServiceError
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.interfaces import load_registry
 from server.teleop.following import STALE_S
 from server.teleop.teleoperation import MAX_JOINTS, Leader, read_sample
 from tests.helpers.clock import FakeClock
+from tests.helpers.messages import time_message
 
 REGISTRY = load_registry(())
 
 
 def message(stamp_s: float, **positions_rad: float) -> dict[str, Any]:
-    stamp = {"sec": int(stamp_s), "nanosec": round(stamp_s % 1.0 * 1e9)}
     joints = {"name": list(positions_rad), "position": list(positions_rad.values()), "velocity": [], "effort": []}
-    return {"header": {"stamp": stamp, "frame_id": ""}, **joints}
+    return {"header": {"stamp": time_message(stamp_s), "frame_id": ""}, **joints}
 
 
 def send(leader: Leader, publisher: Node, msg: dict[str, Any], now_s: float) -> None:

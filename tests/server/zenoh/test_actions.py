@@ -1,6 +1,7 @@
 """Actions between this server and a machine that sends, and serves, the frames of rcl_action over rmw_zenoh."""
 
 import asyncio
+import threading
 import uuid
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 import zenoh
 from rosbags.typesys import get_types_from_msg
 
-from harness.waiting import until
+from harness.waiting import TIMEOUT_S, until
 from protocol.type_descriptions import message_hash, service_hash
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.settings import AccessSettings
@@ -17,7 +18,7 @@ from server.arrival import arrival_epoch
 from server.graph.actions import ActionGoal, GoalStatus, Result
 from server.graph.permissions import GOAL
 from server.graph.topics import Subscriber
-from server.zenoh import network, services
+from server.zenoh import bridge, network, services, topics
 from tests.helpers.zenoh_network import REGISTRY, STORE, RosMachine, Site, attached, networked
 
 GRIPPER, GRIP = "control_msgs/action/GripperCommand", "/grip"
@@ -192,8 +193,9 @@ async def test_results_are_kept_for_a_while_and_in_number(monkeypatch: pytest.Mo
 
 
 async def test_a_stop_that_comes_while_a_goal_is_decoded_is_not_overtaken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network, "BYTES_AT_ONCE", 0)
-    topic, epochs, held = "/moveit_goal_named", list[int](), list[Any]()
+    for module in (network, topics):
+        monkeypatch.setattr(module, "BYTES_AT_ONCE", 0)
+    topic, epochs, go_on = "/moveit_goal_named", list[int](), threading.Event()
 
     def note(_asked: object) -> dict[str, Any]:
         epochs.append(arrival_epoch())
@@ -204,18 +206,17 @@ async def test_a_stop_that_comes_while_a_goal_is_decoded_is_not_overtaken(monkey
         site.graph.actions.offer(site.part, GRIP, GRIPPER, note, rule=GOAL)
         site.graph.services.offer(site.part, "/moveit_goal", "std_srvs/srv/Trigger", note)
         assert site.bridge._sharing is not None
-        background = site.bridge._sharing._network.background
-        run = background.run
-        monkeypatch.setattr(background, "run", lambda *job: held.append(job))
+        threads = site.bridge._threads
+        for _ in range(bridge.DECODING_THREADS):
+            threads.submit(go_on.wait, TIMEOUT_S)
         sending = asyncio.create_task(ActionClient(machine).send())
         await until(lambda: machine.has_token("%moveit_goal/") and machine.has_token("/armbridge/%moveit_goal_named/"))
         calling = asyncio.create_task(asyncio.to_thread(machine.call, "/moveit_goal"))
         machine.publish(topic, "std_msgs/msg/String", data="ready")
-        await until(lambda: len(held) == 3)
+        await until(lambda: threads._work_queue.qsize() == 3)
         arrived = STOP_EPOCHS.present
         STOP_EPOCHS.begin()
-        for job in held:
-            run(*job)
+        go_on.set()
         await asyncio.gather(sending, calling)
         await until(lambda: len(epochs) == 3)
     assert epochs == [arrived] * 3

@@ -1,5 +1,6 @@
 import contextlib
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, cast
 
@@ -7,9 +8,8 @@ import pytest
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
-from server.gateway.turns import Threads
-from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
-from server.graph.node import Node
+from server.graph.message_types import BYTES_AT_ONCE
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.zenoh import network
@@ -29,7 +29,7 @@ async def alone() -> Network:
 
     thread = SessionThread(never)  # type: ignore[arg-type]
     node = Node("zenoh", remote=True)
-    return Network(thread, Graph(REGISTRY), node, LivelinessTokens(0, "us", ""), 10_000_000, Threads())
+    return Network(thread, Graph(REGISTRY), node, LivelinessTokens(0, "us", ""), 10_000_000, ThreadPoolExecutor())
 
 
 async def test_the_number_of_different_warnings_is_limited(alone: Network, caplog: pytest.LogCaptureFixture) -> None:
@@ -95,21 +95,11 @@ async def test_names_lose_this_server_s_namespace_alone(alone: Network) -> None:
             assert found.to_network(here) == there
 
 
-class Failing:
-    """Threads whose jobs fail."""
-
-    def run(self, _job: Callable[[], Any], _done: Callable[[Any, float], None], failed: Callable[[], None]) -> None:
-        failed()
-
-
-async def test_a_small_message_is_decoded_at_once_and_whatever_cannot_be_decoded_leaves_a_reason(
-    alone: Network,
-) -> None:
-    type_name, decoded = "std_msgs/msg/String", list[ReceivedMessage | MessageError]()
-    network = replace(alone, background=cast(Threads, Failing()))
-    for octets in (cdr.serialize(REGISTRY, type_name, {"data": "a"}), b"\0\0", b"x" * (BYTES_AT_ONCE + 1)):
-        network.decode(type_name, octets, decoded.append)
-    message, *errors = decoded
-    assert isinstance(message, ReceivedMessage)
-    assert message.completed(type_name) == {"data": "a"}
-    assert [type(each) for each in errors] == [MessageError, MessageError]
+async def test_a_message_of_any_size_is_decoded_and_one_that_cannot_be_is_refused(alone: Network) -> None:
+    type_name = "std_msgs/msg/String"
+    for text in ("a", "x" * BYTES_AT_ONCE):
+        message = await alone.decode(type_name, cdr.serialize(REGISTRY, type_name, {"data": text}))
+        assert message.completed(type_name) == {"data": text}
+    for octets in (b"\0\0", b"x" * (BYTES_AT_ONCE + 1)):
+        with pytest.raises(MessageError):
+            await alone.decode(type_name, octets)

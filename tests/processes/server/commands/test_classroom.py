@@ -1,14 +1,8 @@
 """A classroom as a teacher starts it, on real sockets: three servers, one host of planners, one Ctrl-C."""
 
 import asyncio
-import csv
-import os
-import signal
 import socket
 import stat
-import subprocess
-import sys
-import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,66 +10,17 @@ import psutil
 import pytest
 
 from harness.clients import ArmClient, arm_client
-from harness.server import FAST, ROOT
 from harness.waiting import TIMEOUT_S, until
 from server import cli
+from tests.helpers.classroom import Room
 from tests.helpers.resources import is_open
 
 STUDENTS = 3
 
 
-class Room:
-    """A running classroom, its list and its processes."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        command = [sys.executable, "-m", "server.cli", "classroom", "--students", str(STUDENTS), "--port", "0"]
-        self.process = subprocess.Popen(
-            [*command, "--data", str(folder), "--robot", "fetch"],
-            cwd=ROOT,
-            env={**os.environ, "PYTHONPATH": str(ROOT), **FAST},
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert self.process.stderr is not None
-        overdue = threading.Timer(TIMEOUT_S, self.process.kill)
-        overdue.start()
-        assert any("the classroom is ready" in line for line in self.process.stderr)
-        overdue.cancel()
-
-    @property
-    def places(self) -> dict[str, tuple[str, str]]:
-        """Address and token by name."""
-        with (self.folder / "students.csv").open(newline="") as lines:
-            return {row["name"]: (row["url"], row["token"]) for row in csv.DictReader(lines)}
-
-    def url(self, name: str, token_of: str | None = None) -> str:
-        return f"{self.places[name][0]}/?token={self.places[token_of or name][1]}"
-
-    def port(self, name: str) -> int:
-        return int(self.places[name][0].rsplit(":", 1)[1])
-
-    def server(self, name: str) -> psutil.Process:
-        """The process that listens on a student's port."""
-        for child in psutil.Process(self.process.pid).children():
-            if any(
-                each.laddr.port == self.port(name) and each.status == psutil.CONN_LISTEN
-                for each in child.net_connections()
-            ):
-                return child
-        raise AssertionError(f"nobody listens for {name}")
-
-    def end(self) -> int:
-        self.process.send_signal(signal.SIGINT)
-        code = self.process.wait(TIMEOUT_S)
-        if self.process.stderr is not None:
-            self.process.stderr.close()
-        return code
-
-
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Room]:
-    running = Room(tmp_path_factory.mktemp("room") / "class")
+    running = Room(tmp_path_factory.mktemp("room") / "class", STUDENTS, "--robot", "fetch")
     yield running
     if running.process.poll() is None:
         running.end()

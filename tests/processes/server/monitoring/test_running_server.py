@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 
 from harness.server import RunningServer as Server
-from harness.server import free_port
 from harness.waiting import wait_until
 from server import cli
 from server.commands.terminal import ExitCode
@@ -75,10 +74,3 @@ def test_a_report_asks_a_running_server_instead_of_the_bus(
     assert not [name for name in told if name.startswith("bus/")]
     assert "problems.txt" not in told
     assert TOKEN not in "".join(told.values())
-
-
-def test_a_port_where_nobody_listens_has_no_server(port: int) -> None:
-    assert RunningServer(settings(port), TOKEN).runs
-    server = RunningServer(settings(free_port()), TOKEN)
-    assert not server.runs
-    assert server.address.startswith("127.0.0.1:")

@@ -8,14 +8,13 @@ import pytest
 
 from harness.waiting import until
 from planners.problem import MoveItErrorCode
+from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, GoalPolicy
 from server.graph.actions import GoalStatus
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.permissions import Identity, Role
+from server.graph.permissions import Identity, Node, Role
 from server.graph.services import Response
+from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_calls import NAME, GoalCalls
-from server.moveit.goals.goal_topics import Confirmation
 from tests.helpers.fake_arm import HOME, settle
 from tests.helpers.goal_runner import THERE
 from tests.helpers.moveit import ActionDesk, translator

@@ -12,12 +12,10 @@ from robot.description.urdf import Joint
 from robot.messages import Mode, MotionEnded, MotionProgress, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
-from server.execution.goal import TimeLimits
-from server.execution.player import BRAKING_TIMEOUT_S
+from server.execution.goal import BRAKING_TIMEOUT_S, TimeLimits
 from server.graph.actions import Result
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.topics import Graph
+from server.graph.permissions import Node
+from server.graph.topics import Graph, LocalGraph
 from server.moveit.actions.gripper import (
     FETCH_ACTION,
     GRIPPER_ACTION,

@@ -16,7 +16,7 @@ from server.errors import GraphError, RefusedError
 from server.execution.goal import Answer, GoalState, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Performed
 from server.graph.actions import GoalStatus
-from server.graph.local_graph import LocalGraph
+from server.graph.topics import LocalGraph
 from server.moveit.actions.joint_trajectory_controller import (
     INDUSTRIAL_ACTION,
     FollowCode,
@@ -28,6 +28,7 @@ from server.moveit.actions.joint_trajectory_controller import (
 )
 from server.moveit.trajectories import external_trajectory
 from tests.helpers.fake_arm import HOME, JOINTS, FakeArm, settle
+from tests.helpers.messages import time_message
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import ROBOT, ActionDesk, message, outcome
 
@@ -227,8 +228,7 @@ def refusal(**changes: Any) -> RefusedError | None:
 
 def at_rest(time_s: float, position_rad: float) -> dict[str, Any]:
     """A point with velocity 0."""
-    stamp = {"sec": int(time_s), "nanosec": round((time_s - int(time_s)) * 1e9)}
-    return {"positions": [position_rad], "velocities": [0.0], "time_from_start": stamp}
+    return {"positions": [position_rad], "velocities": [0.0], "time_from_start": time_message(time_s)}
 
 
 REFUSED: list[tuple[dict[str, Any], FollowCode, str]] = [

@@ -5,7 +5,6 @@ Server, supervisor and controller are the real ones, in stepped time; the joints
 
 import asyncio
 import logging
-import math
 import time
 from collections.abc import AsyncIterator, Callable
 from typing import Any
@@ -18,6 +17,7 @@ from robot.trajectory import Vector
 from server.execution.goal import STREAM_PAUSE_S
 from tests.helpers import stage as stage_module
 from tests.helpers.graph import listen
+from tests.helpers.messages import time_message
 from tests.helpers.stage import ARM_JOINTS, RecordedStage, inline_threads
 
 pytestmark = pytest.mark.stepped_time
@@ -41,12 +41,8 @@ def sine(at_s: float) -> tuple[Vector, Vector]:
     return AMPLITUDE_RAD * 0.5 * (1.0 - np.cos(phase)), AMPLITUDE_RAD * 0.5 * RATE_RAD_S * np.sin(phase)
 
 
-def seconds(duration_s: float) -> dict[str, int]:
-    return {"sec": math.floor(duration_s), "nanosec": round(duration_s % 1.0 * 1e9)}
-
-
 def point(positions_rad: Vector, time_s: float = AHEAD_S, **fields: Any) -> dict[str, Any]:
-    return {"positions": positions_rad.tolist(), "time_from_start": seconds(time_s), **fields}
+    return {"positions": positions_rad.tolist(), "time_from_start": time_message(time_s), **fields}
 
 
 class Controller(RecordedStage):
@@ -54,7 +50,7 @@ class Controller(RecordedStage):
 
     def publish(self, *points: dict[str, Any], names: tuple[str, ...] = ARM_JOINTS, stamp_s: float = 0.0) -> None:
         """Publish a trajectory, as in a frame that arrives now."""
-        message = {"header": {"stamp": seconds(stamp_s)}, "joint_names": list(names), "points": list(points)}
+        message = {"header": {"stamp": time_message(stamp_s)}, "joint_names": list(names), "points": list(points)}
         self.publish_now(TOPIC, "trajectory_msgs/JointTrajectory", message)
 
     async def stream(self, duration_s: float, points: Callable[[float], list[dict[str, Any]]] | None = None) -> None:

@@ -11,9 +11,9 @@ from planners.goals import JointGoal
 from planners.problem import MoveItErrorCode, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
 from robot.trajectory import Trajectory
-from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
+from server.execution.goal import Answer, Goal, GoalRequest
 from server.execution.motions import Performed, PlannedMotion
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.moveit.goals.goal_history import GoalHistory
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ServiceRig
@@ -51,9 +51,15 @@ def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> Goal:
 
 
 def answer(
-    *planned: Trajectory, code: MoveItErrorCode = MoveItErrorCode.SUCCESS, text: str = "the arm is there"
+    *planned: Trajectory,
+    code: MoveItErrorCode = MoveItErrorCode.SUCCESS,
+    text: str = "the arm is there",
+    to_rad: float = 0.4,
+    scene: Scene = EMPTY_SCENE,
 ) -> Answer:
-    return Answer(code, text, performed=Performed(HOME, planned, planning_time_s=0.012))
+    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": to_rad}))
+    found = Performed(HOME, planned, planning_time_s=0.012, methods=("rrt",), scene=scene, problem=problem)
+    return Answer(code, text, performed=found)
 
 
 def take(records: Records, goal_id: str, *steps: float, ends: Answer | None = None, **options: Any) -> None:
@@ -77,8 +83,6 @@ async def test_a_goal_that_is_answered_to_its_client_alone_has_no_record(records
 
 async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None:
     moved = goal("7", 0.4)
-    records.history.on_progress(moved, Progress(GoalState.EXECUTING, "a motion of 2.5 s (rrt; planned in 12 ms)"))
-    records.history.on_progress(moved, Progress(GoalState.EXECUTING, "paused"))
     records.history.on_answer(moved, answer(MOTION))
     told = await records.record("7")
     assert told["success"]
@@ -88,13 +92,12 @@ async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None
     assert [part["joint_trajectory"]["joint_names"] for part in told["planned"]] == [["shoulder_pan"]]
 
 
-async def test_the_problem_of_a_failed_step_starts_where_the_one_before_ends(records: Records) -> None:
-    failed = answer(MOTION, code=MoveItErrorCode.NO_IK_SOLUTION, text="out of reach")
+async def test_a_record_has_the_problem_that_failed(records: Records) -> None:
+    failed = answer(MOTION, code=MoveItErrorCode.NO_IK_SOLUTION, text="out of reach", to_rad=0.9)
     take(records, "1", 0.4, 0.9, ends=failed)
     told = await records.record("1")
     assert told["problem_name"] == "goal-1-NO_IK_SOLUTION.json"
     (problem,) = json.loads(told["problem"])["goal_problems"]
-    assert problem["start"][0] == pytest.approx(0.4)
     assert problem["goal"]["joints"]["positions_rad"] == {"shoulder_pan": 0.9}
 
 
@@ -107,12 +110,7 @@ async def test_a_goal_that_was_refused_has_a_record_without_a_problem(records: R
 
 async def test_goals_of_the_last_ten_scenes_alone_have_a_problem_file(records: Records) -> None:
     for number in range(11):
-        records.scene_state.scene = Scene()
-        planning = goal(str(number), 0.4)
-        records.history.on_progress(planning, Progress(GoalState.PLANNING, "planning"))
-        # What a goal was planned in counts, and not what there is when it is answered.
-        records.scene_state.scene = EMPTY_SCENE
-        records.history.on_answer(planning, answer(MOTION))
+        take(records, str(number), 0.4, ends=answer(MOTION, scene=Scene()))
     forgotten, kept = await records.record("0"), await records.record("1")
     assert forgotten["message"] == "no problem file: the scene has changed more than 10 times since"
     assert forgotten["planned"]

@@ -9,7 +9,7 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from robot.description import model
 from server.execution.motions import PlannedMotion
-from server.moveit.goals.goal_messages import GoalTranslator, suggestion
+from server.moveit.goals.goal_topics import GoalTranslator, suggestion
 from tests.helpers.fake_arm import HOME, FakeArm
 from tests.helpers.moveit import FORWARD, ROBOT, TIP, TRANSLATOR, assert_refused, message, rejection, translator
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.problem import MoveItErrorCode
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.moveit.requests.planning_context import MAX_START_BOUNDS_ERROR_RAD, start_positions
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT, ServiceRig, assert_refused, box, diff, held, message, rejection

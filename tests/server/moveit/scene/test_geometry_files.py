@@ -7,7 +7,6 @@ import pytest
 
 from planners.scene import Cylinder
 from server.errors import RefusedError
-from server.graph.node import Node
 from server.graph.topics import Graph
 from server.moveit.scene import geometry_files
 from tests.helpers.graph import called
@@ -20,7 +19,7 @@ class Files:
     def __init__(self, directory):
         self.state = scene_state(box("cup"), box("pen"))
         self.graph = Graph(REGISTRY)
-        geometry_files.offer_geometry_files(self.graph, Node("scene"), self.state, current_state(), directory)
+        geometry_files.offer_geometry_files(self.graph.node("scene"), self.state, current_state(), directory)
 
     async def call(self, service, name):
         return (await called(self.graph, service, file_path_and_name=name)).values["success"]

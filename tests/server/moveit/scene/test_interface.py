@@ -12,7 +12,7 @@ from harness.waiting import TIMEOUT_S
 from protocol.errors import MessageError
 from server.errors import RefusedError
 from server.execution.monitors import state_message
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.moveit.messages import matrix_of
 from server.moveit.parameters import MoveItParameters

@@ -12,7 +12,7 @@ from harness.waiting import TIMEOUT_S
 from planners.problem import MoveItErrorCode
 from planners.scene import Scene
 from server.errors import RefusedError
-from server.graph.node import Node
+from server.graph.permissions import Node
 from server.moveit.scene.allowed_collision_matrix import MAX_EXCEPTIONS
 from server.moveit.scene.scene_state import MAX_WAITING_ELEMENTS, AssumedStates, SceneChange
 from tests.helpers.moveit import BENT, ROBOT, box, diff, held, message, pose, rejection, scene_state

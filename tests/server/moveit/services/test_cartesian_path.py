@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from planners.problem import Line, MoveItErrorCode
 from planners.scene import Pose
 from robot.trajectory import Trajectory
-from server.moveit.services.cartesian_path import JumpThresholds, cut_lines, first_jump, length_m
+from server.moveit.services.cartesian_path import cut_lines, first_jump, length_m
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import FORWARD, TIP, ServiceRig, point
 from tests.helpers.resources import examples
@@ -116,7 +116,7 @@ def panned(*angles_rad: float, duration_s: float = 1.0) -> Trajectory:
 
 
 def jump(motion, step_m=0.05, step_rad=0.0, factor=0.0):
-    return first_jump(motion, (FORWARD, TIP), HOME, step_m, JumpThresholds(step_rad, factor))
+    return first_jump(motion, (FORWARD, TIP), HOME, step_m, (step_rad, factor))
 
 
 EVEN = panned(*np.linspace(0.0, 1.0, 20))
@@ -133,7 +133,6 @@ def test_a_step_is_what_joints_do_while_the_tip_moves_by_a_length() -> None:
 
 
 def test_nothing_jumps_without_thresholds_evenly_or_at_rest() -> None:
-    assert not JumpThresholds(0.0, 0.0).any
     assert jump(EVEN) is None
     assert jump(EVEN, step_m=0.1, factor=1.2) is None
     assert jump(panned(0.3), step_rad=0.01, factor=1.0) is None

@@ -10,7 +10,7 @@ import pytest
 from planners.scene import Pose
 from robot.messages import ArmState, Mode
 from server import robot_files
-from server.actionlib import ActionlibBridge
+from server.actionlib import bridge_actions
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.topics import Graph
 from server.moveit.messages import matrix_of, pose_of
@@ -220,7 +220,7 @@ def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(wo
 
 
 def test_a_client_of_ros1_hears_the_transforms_by_actionlib(world: World) -> None:
-    ActionlibBridge(world.graph, world.clock, world.clock.call_later).open([description.ACTION])
+    bridge_actions(world.graph, [description.ACTION], world.clock, world.clock.call_later)
     goal_type = "tf2_web_republisher/TFSubscriptionActionGoal"
     world.say("c", op="advertise", topic=f"{description.ACTION}/goal", type=goal_type)
     world.say("c", op="subscribe", topic=f"{description.ACTION}/feedback")

@@ -14,9 +14,8 @@ from planners.scene import EMPTY_SCENE, Scene
 from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrived_in
-from server.graph.local_graph import LocalGraph
-from server.graph.node import Node
-from server.graph.topics import Graph
+from server.graph.permissions import Node
+from server.graph.topics import Graph, LocalGraph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.servo import servo_node
 from tests.helpers.clock import FakeClock
@@ -147,7 +146,7 @@ async def test_a_pause_ends_the_steering_until_it_is_lifted(rig: Rig, pause: Any
 
 def test_humble_gets_its_own_numbers() -> None:
     graph = Graph(REGISTRY)
-    topic = servo_node.StatusPublisher(graph, Node("servo_node"), servo_node.INT8)
+    topic = servo_node.StatusPublisher(graph.node("servo_node"), servo_node.INT8)
     heard = listen(graph, servo_node.STATUS_TOPIC)
     for status in (ServoStatus.JOINT_BOUND, ServoStatus.HALT_FOR_COLLISION, ServoStatus.HALT_FOR_SINGULARITY):
         topic.publish(status, "")
@@ -156,7 +155,7 @@ def test_humble_gets_its_own_numbers() -> None:
 
 def test_a_repeated_rejection_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     graph, clock = Graph(REGISTRY), FakeClock()
-    topic = servo_node.StatusPublisher(graph, Node("servo_node"), "moveit_msgs/ServoStatus", clock)
+    topic = servo_node.StatusPublisher(graph.node("servo_node"), "moveit_msgs/ServoStatus", clock)
     heard = listen(graph, servo_node.STATUS_TOPIC)
     with caplog.at_level(logging.WARNING, "armbridge.servo"):
         for _ in range(10):

@@ -1,0 +1,118 @@
+"""Confirmation of plans by users: the arm moves when somebody has seen the plan."""
+
+import asyncio
+import logging
+from typing import Any
+
+from planners.problem import MoveItErrorCode
+from protocol.errors import MessageError, shorten
+from protocol.publication import PublishedMessage
+from server.diagnostic_values import LEVEL_OK, key_values
+from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.motions import Performed, PlannedMotion
+from server.graph.permissions import CONFIGURING, WORKING
+from server.graph.topics import Graph
+
+log = logging.getLogger("armbridge.goals")
+
+CONFIRM_TOPIC = "/moveit_goal_confirm"
+APPROVE_TOPIC = "/moveit_goal_approve"
+APPROVAL_TOPIC = "/moveit_goal_approval"
+CONFIRM_MODE_SERVICE = "/moveit_goal_confirm_mode"
+
+
+class Confirmation:
+    """Gate between plan and motion: the arm moves when a user confirms the plan.
+
+    A proposed plan is confirmed by its goal's id, so that a user who decides on one plan cannot confirm the next one,
+    which has just taken its place.
+    """
+
+    def __init__(self, graph: Graph, *, enabled: bool, timeout_s: float) -> None:
+        self._node = graph.node("confirmation")
+        # The proposed goal that is not answered yet; None without one. There is one at a time.
+        self.proposal: Goal | None = None
+        self._waiting: Goal | None = None
+        self._decision: asyncio.Future[bool] | None = None
+        # Goals of several groups are confirmed one after the other.
+        self._turn = asyncio.Lock()
+        self._timeout_s = timeout_s
+        self.enabled = enabled  # True while all goals wait for a confirmation
+        # Another client may confirm than the driving one.
+        self._node.subscribe(CONFIRM_TOPIC, "std_msgs/Bool", self._confirm, self._log_invalid, rule=WORKING)
+        self._node.subscribe(APPROVE_TOPIC, "std_msgs/String", self._approve, rule=WORKING)
+        self._node.advertise(APPROVAL_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
+        self._publish_request(None, "", 0.0)
+        self._node.offer(CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode, rule=CONFIGURING)
+
+    def propose(self, goal: Goal) -> None:
+        """Take a goal as the proposal until it is answered."""
+        self.proposal = goal
+
+        def forget(_answered: object) -> None:
+            self.proposal = None
+
+        goal.answered.add_done_callback(forget)
+
+    async def wait(self, goal: Goal, planned: Performed) -> Answer | None:
+        """Wait for the decision on a plan; return None to go on, else the goal's answer."""
+        async with self._turn:
+            self._waiting, self._decision = goal, asyncio.get_running_loop().create_future()
+            self._publish_request(goal, planned.summary, planned.duration_s)
+            # Last: a client that learns of the waiting plan may decide on it at once.
+            waits = f"{goal.request.client} asks for your approval" if _is_proposed(goal) else "waits to be confirmed"
+            goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
+            try:
+                async with asyncio.timeout(self._timeout_s):
+                    go = await self._decision
+            except TimeoutError:
+                topic = APPROVE_TOPIC if _is_proposed(goal) else CONFIRM_TOPIC
+                message = f"planned, but not confirmed on {topic} within {self._timeout_s:g} s"
+                return Answer(MoveItErrorCode.TIMED_OUT, message)
+            finally:
+                self._waiting = self._decision = None
+                self._publish_request(None, "", 0.0)
+            return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
+
+    def _confirm(self, published: PublishedMessage) -> None:
+        self._decide(CONFIRM_TOPIC, go=published.msg["data"])
+
+    def _approve(self, published: PublishedMessage) -> None:
+        self._decide(APPROVE_TOPIC, go=True, goal_id=published.msg["data"])
+
+    def _log_invalid(self, error: MessageError) -> None:
+        log.warning("%s: %s", CONFIRM_TOPIC, error)
+
+    def _decide(self, topic: str, *, go: bool, goal_id: str | None = None) -> None:
+        waiting = self._waiting
+        if waiting is None or self._decision is None or self._decision.done():
+            log.warning("%s: ignored, no goal waits for it", topic)
+        elif goal_id not in (None, waiting.goal_id):
+            log.warning("%s: ignored, goal %s waits, not %r", topic, waiting.goal_id, shorten(goal_id or ""))
+        elif go and goal_id is None and _is_proposed(waiting):
+            log.warning("%s: ignored, goal %s is approved on %s", topic, waiting.goal_id, APPROVE_TOPIC)
+        else:
+            self._decision.set_result(go)
+
+    def _publish_request(self, goal: Goal | None, summary: str, duration_s: float) -> None:
+        status: dict[str, Any] = {"level": LEVEL_OK, "message": "no goal waits"}
+        if goal is not None:
+            values = {
+                "client": str(goal.request.client),
+                "proposed": str(_is_proposed(goal)).lower(),
+                "summary": summary,
+                "duration_s": f"{duration_s:.2f}",
+                "timeout_s": f"{self._timeout_s:g}",
+            }
+            status |= {"message": f"{goal.title} waits: {summary}", "values": key_values(values)}
+            status |= {"name": goal.request.source, "hardware_id": goal.goal_id}
+        self._node.publish(APPROVAL_TOPIC, status)
+
+    def _set_mode(self, request: dict[str, Any]) -> dict[str, Any]:
+        self.enabled = request["data"]
+        said = f"wait for a message on {CONFIRM_TOPIC}" if self.enabled else "are carried out at once"
+        return {"success": True, "message": f"goals on /moveit_goal_* {said}"}
+
+
+def _is_proposed(goal: Goal) -> bool:
+    return isinstance(goal.request.motion, PlannedMotion) and goal.request.motion.proposed

@@ -178,8 +178,8 @@ class CancelScope:
     async def unless_cancelled(self, work: Coroutine[Any, Any, Result]) -> Result | None:
         """Return the result of some work; None when the request is cancelled before or meanwhile.
 
-        The work is done in the present task: another task would begin, and its end be noticed, some turns of the event
-        loop later, in each of which the server serves its clients first.
+        The work is done in the present task: another task would begin and end some turns of the event loop later, in
+        which the server serves its clients first.
         """
         task = asyncio.current_task()
         if task is None or self.cancelled.done():

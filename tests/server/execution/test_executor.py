@@ -464,6 +464,41 @@ async def under_way(stage: Stage) -> None:
     assert (await stage.answer()).message == "preempted by a test"
 
 
+async def test_a_motion_is_left_to_no_other_before_the_arm_shows_that_it_has_begun(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.arm.state = replace(stage.arm.state, mode=Mode.HOLDING)
+    stage.goal.cancel("preempted by a test", replaced=True)
+    await settle()
+    assert stage.running is not None
+    assert not stage.running.done()
+    stage.arm.state = replace(stage.arm.state, mode=Mode.MOVING)
+    assert (await stage.answer()).message == "preempted by a test"
+
+
+async def test_who_ends_the_task_of_a_cancelled_goal_ends_it(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    waiting = asyncio.create_task(stage.goal.unless_cancelled(asyncio.sleep(60.0)))
+    await settle()
+    stage.goal.cancel("a test")
+    waiting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+
+
+async def test_a_cancelled_goal_ends_its_work_and_not_its_task(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+
+    async def wait() -> tuple[object, int]:
+        found = await stage.goal.unless_cancelled(asyncio.sleep(60.0))
+        await asyncio.sleep(0.0)
+        return found, cast("asyncio.Task[Any]", asyncio.current_task()).cancelling()
+
+    waiting = asyncio.create_task(wait())
+    await settle()
+    stage.goal.cancel("a test")
+    assert await waiting == (None, 0)
+
+
 @pytest.mark.stepped_time
 async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) -> None:
     await under_way(stage)

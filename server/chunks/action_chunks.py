@@ -178,13 +178,6 @@ class ChunkMotion:
         return max(self.chunk.moved_rad, float(away_rad.max(initial=0.0)))
 
     @property
-    def positions_rad(self) -> Positions:
-        """Positions in which the motion ends [rad]; empty before it was made."""
-        return (
-            {} if self.made is None else dict(zip(self._joints, self.made[0].positions_rad[-1].tolist(), strict=True))
-        )
-
-    @property
     def motion(self) -> ExternalTrajectory:
         return ExternalTrajectory(self._make, frozenset(self._joints), cut=self._cut)
 
@@ -467,7 +460,7 @@ class ActionChunks:
 
     def _answer(self, motion: ChunkMotion, code: MoveItErrorCode, message: str) -> Message:
         until_s = time.time() + motion.until_s - self._clock() if motion.made else 0.0
-        held = motion.positions_rad if motion.end is not None else {}
+        made = None if motion.end is None or motion.made is None else motion.made[0]
         return {
             "id": motion.chunk.chunk_id,
             "error_code": error_code(code),
@@ -475,8 +468,8 @@ class ActionChunks:
             "followed_until": Stamp.from_seconds(until_s).as_message(),
             "change": motion.change_rad,
             "refused_from": -1 if motion.end is None else motion.end[0],
-            "joint_names": list(held),
-            "nearest": list(held.values()),
+            "joint_names": [] if made is None else list(made.joint_names),
+            "nearest": [] if made is None else made.positions_rad[-1].tolist(),
         }
 
     def _publish(self, answer: Message) -> None:

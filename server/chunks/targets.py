@@ -142,7 +142,6 @@ def _averaged(targets: Targets, at_s: float, count: int, limits: MotionLimits) -
     # Before the first target and beyond the last the joints go on as they come there: the motion itself begins and
     # brakes within the limits.
     sampled = np.pad(sampled, ((margin - past, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    inside = slice(margin, margin + count + 1)
     for window in WINDOWS:
         positions = sampled
         if window:
@@ -151,7 +150,7 @@ def _averaged(targets: Targets, at_s: float, count: int, limits: MotionLimits) -
         # Central differences, for which the first sample and the last have no neighbour.
         velocities = (positions[2:] - positions[:-2]) / (2.0 * SAMPLE_S)
         accelerations = (velocities[2:] - velocities[:-2]) / (2.0 * SAMPLE_S)
-        kept = positions[inside], velocities[margin - 1 : margin + count]
+        kept = positions[margin : margin + count + 1], velocities[margin - 1 : margin + count]
         accelerations = accelerations[margin - 3 : margin + count - 1]
         jerks = np.diff(accelerations, axis=0) / SAMPLE_S
         if (

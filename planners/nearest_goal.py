@@ -18,6 +18,7 @@ from planners import checks
 from planners.budget import Budget
 from planners.cartesian.planning import plan_cartesian
 from planners.cartesian.tip_path import TipPath, first_part
+from planners.geometry.certificate import line_free
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.kinematics import ForwardKinematics
@@ -205,7 +206,7 @@ class _Search:
             if moving.all() or self._space.free(point):
                 yield self._joint_goal(goal, point)
         way = target - self._start
-        share = furthest(lambda share: self._space.line_free(self._start, self._start + share * way), 0.0, 1.0)
+        share = furthest(lambda share: line_free(self._space, self._start, self._start + share * way), 0.0, 1.0)
         if share > 0.0:
             yield self._joint_goal(goal, self._start + share * way)
 

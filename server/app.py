@@ -29,7 +29,6 @@ from server.features.arms import (
     ArmControl,
     CommissioningOfArms,
     PolicyChunks,
-    Restart,
     resumed,
     teaching_of,
     teleoperation_of,
@@ -128,7 +127,8 @@ class App:
             else SharedPlanners(inherited.planners)
         )
         context = self._context = context_of(settings, self.graph, (self._arms.whole, self._arms.each), self._pool)
-        self._restart = Restart()
+        self._restart = asyncio.Event()
+        self._recalibrated: Recalibrated | None = None
 
         # What refuses wrong settings comes first; nothing of it does anything before its start.
         self._clients = Clients(context)
@@ -138,7 +138,7 @@ class App:
         self._monitoring = Monitoring(context, self._clients, self._recording.recorder, self.bridge, notifier)
         self._collector = CollectorPolicy(keeps_frozen=inherited is not None)
         shared = inherited is not None
-        commissioning = CommissioningOfArms(context, self._restart, recalibrated, shared_calibration=shared)
+        commissioning = CommissioningOfArms(context, self._start_again, recalibrated, shared_calibration=shared)
         parkings = Parkings(context)
         self._simulated_time = [SimulatedTime(context)] if simulated else []
         self._physics = physics_of(context)
@@ -202,7 +202,7 @@ class App:
         Returns the settings of the start that is to follow at once, after a calibration; None for the end.
         """
         ending, hurry = stop_signals()
-        listener, restart = self._clients.listener, self._restart
+        listener = self._clients.listener
         on_hangup(listener.reload_certificate, ending.set)
         asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, toggle_debug)
         started: list[Part | Feature] = []
@@ -212,21 +212,26 @@ class App:
                 log.info("%s", self._what_runs_where())
                 if not page_is_built(PAGE_DIRECTORY):
                     log.info("%s", HOW_TO_BUILD_PAGE)
-                await unless_ended(ending, restart.requested.wait())
+                await unless_ended(ending, self._restart.wait())
             log.info("stopping")
         finally:
-            restarts = restart.requested.is_set() and not ending.is_set()
+            restarts = self._restart.is_set() and not ending.is_set()
             self._monitoring.monitor.notify_stopping(restarts=restarts)
             with arrived_in(STOP_EPOCHS.present):
                 await stop_in_reverse(started, STOP_TOTAL_S, hurry)
             self._collector.stop()
         log.info("stopped")
-        if ending.is_set() or restart.recalibrated is None:
+        if ending.is_set() or self._recalibrated is None:
             return None
         # At the same place for its clients.
-        settings = with_calibration(self._context.settings, restart.recalibrated)
+        settings = with_calibration(self._context.settings, self._recalibrated)
         place = settings.server.model_copy(update={"port": listener.port, "tcp_port": listener.tcp_port})
-        return settings.model_copy(update={"server": place}), restart.recalibrated
+        return settings.model_copy(update={"server": place}), self._recalibrated
+
+    def _start_again(self, recalibrated: Recalibrated) -> None:
+        """Have the server start again with a calibration: everything made with the old one is made again."""
+        self._recalibrated = recalibrated
+        self._restart.set()
 
     async def _wait_for_arm(self) -> None:
         # Nothing moves yet that could wait for it.

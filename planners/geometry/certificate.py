@@ -1,9 +1,8 @@
 """The last check of every motion: the timed curve as it will be driven, the samples and the curve between them.
 
-The check of a curve is a bisection with margins as wide as the shapes can move. Where no pair of shapes is nearer than
-the joints can bring it on a piece of the curve, that piece is free as a whole. Other pieces are halved, and a half is
-checked for the candidate pairs of the whole only: a few of many. No distance is computed: a check with a margin costs
-as much as one without, and most pieces are long.
+The check of a curve advances by distances. Where a pair of shapes has a clearance, the curve is free of contacts of
+this pair as far to either side as the joints take to use the clearance up; the two rests are checked in their middles.
+All pairs are looked at together in a few points first: most are further apart than they can come around these.
 
 Two motions of different joints are free where they are free wherever either of them is on its way. The two are not
 timed against each other: a motion can be slowed, paused, stopped and sent back at any moment. So every position of one
@@ -13,129 +12,112 @@ motion can come near a shape carried by the other, within a whole part of it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planners.geometry.collision import CollidingPair, CollisionModel
-from planners.geometry.joint_space import ALL_PAIRS, NO_CANDIDATES, WIDEST_MARGIN_M, CandidatePairs, JointSpace
+from planners.geometry.joint_space import JointSpace
 from robot.trajectory import Trajectory, Vector
 
-Indices = NDArray[np.int64]
-
-# Contacts deeper than half of this are found: it is the width of ranges that are not halved any more.
+# Contacts deeper than half of this are found: it is the width of ranges that are not divided any more.
 FINEST_STEP_M = 0.0001
 
 # After the first contact, earlier ones are searched for this finely only: enough for the time of the contact.
 EARLIEST_STEP_M = 0.01
 
-# Curves this close to a line are one: what they carry moves by less than a thousandth of the finest step.
-STRAIGHT_RAD = 1e-8
+WIDEST_MARGIN_M = 0.1  # most that a point of the robot travels to either side of where all pairs are looked at
+
+CHECK_STEP_M = 0.001  # a search need not check more finely: its motions are certified afterwards
 
 
 class Cubics:
-    """Cubic pieces end to end, each between its Bernstein coefficients, shape (pieces, 4, n) [rad]."""
+    """Cubic pieces end to end, each between its Bernstein coefficients, shape (pieces, 4, n) [rad].
+
+    Places on it are in pieces from the start. ``travelled_rad`` bounds how far each joint has moved at each end of a
+    piece, shape (pieces + 1, n); between these a straight line bounds it.
+    """
 
     def __init__(self, coefficients: Vector) -> None:
         self.coefficients = coefficients
-        self._lower, self._upper = coefficients.min(axis=1), coefficients.max(axis=1)
+        # The slope of a cubic stays between its own Bernstein coefficients.
+        fastest = 3.0 * np.abs(np.diff(coefficients, axis=1)).max(axis=1)
+        self.travelled_rad = np.concatenate((np.zeros_like(fastest[:1]), np.cumsum(fastest, axis=0)))
 
-    def __len__(self) -> int:
-        return len(self.coefficients)
+    @classmethod
+    def line(cls, start: Vector, end: Vector) -> Cubics:
+        """Return a straight line."""
+        return cls((start + np.linspace(0.0, 1.0, 4)[:, np.newaxis] * (end - start))[np.newaxis])
 
-    def straight(self) -> bool:
-        """Tell whether the curve is a straight line from its first point to its last, run through at whatever speed."""
-        start, end = self.coefficients[0, 0], self.coefficients[-1, 3]
-        length = float(np.linalg.norm(end - start))
-        if length == 0.0:
-            return False
-        from_start = self.coefficients - start
-        along = from_start @ ((end - start) / length)
-        beside = from_start - along[:, :, np.newaxis] * ((end - start) / length)
-        outside = max(-float(along.min()), float(along.max()) - length, float(np.abs(beside).max()))
-        return outside <= STRAIGHT_RAD
-
-    def spans(self) -> Spans:
-        """The whole curve as one span."""
-        ranges = (len(self) - 1).bit_length()
-        bounds = [(self._lower, self._upper)]
-        for _ in range(ranges):
-            lower, upper = (np.concatenate((each, each[-1:])) if len(each) % 2 else each for each in bounds[-1])
-            bounds.append((np.minimum(lower[::2], lower[1::2]), np.maximum(upper[::2], upper[1::2])))
-        if ranges == 0:
-            return _Parts(self.coefficients, np.zeros(1), 1.0)
-        return _Ranges(self.coefficients, bounds, np.zeros(1, dtype=np.int64))
-
-
-class _Ranges:
-    """Ranges of a curve, of a power of two of its pieces each; ``joint_travel`` bounds them around ``points``."""
-
-    def __init__(self, coefficients: Vector, bounds: list[tuple[Vector, Vector]], index: Indices) -> None:
-        self._coefficients, self._bounds, self._index = coefficients, bounds, index
-        self._size = 1 << (len(bounds) - 1)
-        first = index * self._size
-        middle = np.minimum(first + self._size // 2, len(coefficients) - 1)
-        self.start, self.at = first.astype(np.float64), middle.astype(np.float64)
-        self.points = coefficients[middle, 0]
-        lower, upper = (each[index] for each in bounds[-1])
-        self.joint_travel = np.maximum(upper - self.points, self.points - lower)
-
-    def halves(self, of: Indices) -> tuple[Spans, Indices]:
-        index = np.concatenate((2 * self._index[of], 2 * self._index[of] + 1))
-        there = index * (self._size // 2) < len(self._coefficients)
-        index, parents = index[there], np.concatenate((of, of))[there]
-        if self._size == 2:
-            return _Parts(self._coefficients[index], index.astype(np.float64), 1.0), parents
-        return _Ranges(self._coefficients, self._bounds[:-1], index), parents
-
-
-class _Parts:
-    """Ranges within single pieces, each as long as the others, by their Bernstein coefficients, shape (m, 4, n)."""
-
-    def __init__(self, coefficients: Vector, start: Vector, length: float) -> None:
-        self._coefficients, self._length = coefficients, length
-        self.start, self.at = start, start + 0.5 * length
-        self.points = np.array([0.125, 0.375, 0.375, 0.125]) @ coefficients
-        self.joint_travel = np.abs(coefficients - self.points[:, np.newaxis]).max(axis=1)
-
-    def halves(self, of: Indices) -> tuple[Spans, Indices]:
-        # De Casteljau.
-        a, b, c, d = np.moveaxis(self._coefficients[of], 1, 0)
-        ab, bc, cd = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + d)
-        abc, bcd = 0.5 * (ab + bc), 0.5 * (bc + cd)
-        middle = 0.5 * (abc + bcd)
-        halves = np.concatenate((np.stack((a, ab, abc, middle), axis=1), np.stack((middle, bcd, cd, d), axis=1)))
-        length, start = 0.5 * self._length, self.start[of]
-        return _Parts(halves, np.concatenate((start, start + length)), length), np.concatenate((of, of))
-
-
-Spans = _Ranges | _Parts
+    def point(self, piece: int, share: float) -> Vector:
+        """Return the point at a share of a piece, shape (n,) [rad]."""
+        rest = 1.0 - share
+        weights = (rest**3, 3.0 * share * rest**2, 3.0 * share**2 * rest, share**3)
+        return np.asarray(weights @ self.coefficients[piece])
 
 
 def first_contact(space: JointSpace, curve: Cubics, step_m: float) -> float | None:
-    """Find the first contact on a curve with free ends; pieces of no more travel than ``step_m`` are not halved [m]."""
-    found: float | None = None
-    spans = curve.spans()
-    candidate_pairs: list[CandidatePairs] = [ALL_PAIRS]
-    while len(spans.at):
-        travel_m = spans.joint_travel @ space.travel_m_per_rad
-        least_m = step_m if found is None else max(step_m, EARLIEST_STEP_M)
-        checked = (2.0 * travel_m > least_m) & (spans.start < (np.inf if found is None else found))
-        # Something is near the widest spans nearly always: these keep their candidate pairs.
-        narrow = np.flatnonzero(checked & (travel_m <= WIDEST_MARGIN_M))
-        among = [candidate_pairs[i] for i in narrow]
-        left = space.candidate_pairs(spans.points[narrow], spans.joint_travel[narrow], among)
-        for i, candidates in zip(narrow, left, strict=True):
-            candidate_pairs[i] = candidates
-        unsure = [i for i in np.flatnonzero(checked) if candidate_pairs[i] != NO_CANDIDATES]
-        for i in unsure:
-            if (found is None or spans.at[i] < found) and space.touches_any(spans.points[i], candidate_pairs[i]):
-                found = float(spans.at[i])
-        spans, parents = spans.halves(np.array(unsure, dtype=np.int64))
-        candidate_pairs = [candidate_pairs[i] for i in parents]
+    """Find the first contact on a curve with free ends; parts of no more travel than ``step_m`` are not divided [m]."""
+    travel_m = curve.travelled_rad @ space.travel_m_per_rad
+    if travel_m[-1] <= step_m:
+        return None
+    looks = math.ceil(0.5 * travel_m[-1] / WIDEST_MARGIN_M)
+    places = np.interp(np.linspace(0.0, travel_m[-1], 2 * looks + 1), travel_m, np.arange(len(travel_m)))
+    pieces = np.minimum(places.astype(np.int64), len(curve.coefficients) - 1)
+    before, after = curve.travelled_rad[pieces], curve.travelled_rad[pieces + 1]
+    moved_rad = np.diff(before + (places - pieces)[:, np.newaxis] * (after - before), axis=0)
+    for i in range(1, len(places), 2):
+        margin_m = (moved_rad[i - 1 : i + 1] @ space.approach_m_per_rad.T).max(axis=0)
+        point = curve.point(int(pieces[i]), float(places[i] - pieces[i]))
+        around = places[i - 1 : i + 2].tolist()
+        near = space.near(point, margin_m)
+        contacts = (_first_of_pair(space, curve, pair, around, clearance_m, step_m) for pair, clearance_m in near)
+        found = min((place for place in contacts if place is not None), default=None)
+        if found is not None:
+            return found
+    return None
+
+
+def _first_of_pair(
+    space: JointSpace, curve: Cubics, pair: int, around: Sequence[float], clearance_m: float, step_m: float
+) -> float | None:
+    """Find the first contact of a pair between the first and last of three places, with its clearance in the middle."""
+    first = int(around[0])
+    # How much of its clearance the pair may have lost at the ends of the pieces.
+    way_m = (curve.travelled_rad[first : int(around[2]) + 2] @ space.approach_m_per_rad[pair]).tolist()
+    begin_m, middle_m, end_m = (_way_at(way_m, place - first) for place in around)
+    # Parts of the way, the first one last.
+    left, found = [(middle_m + clearance_m, end_m), (begin_m, middle_m - clearance_m)], None
+    if clearance_m <= 0.0:
+        left, found, step_m = [(begin_m, middle_m)], around[1], max(step_m, EARLIEST_STEP_M)
+    while left:
+        begin_m, end_m = left.pop()
+        if end_m - begin_m <= step_m:
+            continue
+        middle_m = 0.5 * (begin_m + end_m)
+        piece = min(bisect_right(way_m, middle_m), len(way_m) - 1) - 1
+        share = (middle_m - way_m[piece]) / (way_m[piece + 1] - way_m[piece])
+        clearance_m = space.clearance_m(pair, curve.point(first + piece, share), 0.5 * (end_m - begin_m))
+        if clearance_m > 0.0:
+            left += [(middle_m + clearance_m, end_m), (begin_m, middle_m - clearance_m)]
+        else:
+            left, found = [(begin_m, middle_m)], first + piece + share
+            step_m = max(step_m, EARLIEST_STEP_M)
     return found
+
+
+def _way_at(way_m: Sequence[float], place: float) -> float:
+    """Return the way at a place in pieces from its first end."""
+    piece = min(int(place), len(way_m) - 2)
+    return way_m[piece] + (place - piece) * (way_m[piece + 1] - way_m[piece])
+
+
+def line_free(space: JointSpace, start: Vector, end: Vector) -> bool:
+    """Return true if nothing touches on a straight line whose first point is taken to be free."""
+    return space.free(end) and first_contact(space, Cubics.line(start, end), CHECK_STEP_M) is None
 
 
 @dataclass(frozen=True)
@@ -162,10 +144,7 @@ def _first_contact_s(space: JointSpace, trajectory: Trajectory) -> float | None:
         return 0.0
     if len(positions) == 1:
         return None
-    curve = cubics(trajectory)
-    if curve.straight() and space.line_free(positions[0], positions[-1], FINEST_STEP_M):
-        return None
-    at = first_contact(space, curve, FINEST_STEP_M)
+    at = first_contact(space, cubics(trajectory), FINEST_STEP_M)
     if at is not None:
         return float(np.interp(at, np.arange(len(positions)), trajectory.time_s))
     return None if space.free(positions[-1]) else trajectory.duration_s
@@ -226,7 +205,7 @@ def encounter(
     for row, way in enumerate(ways):
         steps[row, way.columns] = 1.0
     # Pairs whose distance depends on one motion only were checked with it.
-    between = tuple(np.flatnonzero((collision.margins_m(steps) > 0.0).all(axis=0)).tolist())
+    between = np.flatnonzero((steps @ collision.approach_m_per_rad.T > 0.0).all(axis=0)).tolist()
     parts = [((0.0, first.duration_s), (0.0, second.duration_s), between)]
     checked = 0
     while parts:
@@ -236,16 +215,17 @@ def encounter(
         travel = np.zeros(len(names))
         for way, span_s in zip(ways, times_s, strict=True):
             q[way.columns], travel[way.columns] = way.around(*span_s)
-        margins_m = collision.margins_m(travel[np.newaxis])[0]
-        near = collision.candidate_pairs(q, margins_m, candidates)
-        if not near:
+        clearances_m = collision.near(q, collision.approach_m_per_rad[candidates] @ travel, candidates)
+        if not clearances_m:
             continue
         by_way_m = [float(travel[way.columns] @ collision.travel_m_per_rad[way.columns]) for way in ways]
         longer = int(np.argmax(by_way_m))
-        if collision.touch_among(q, near) or sum(by_way_m) <= NEAREST_M or checked >= MAX_PARTS:
+        touching = min(clearance_m for _, clearance_m in clearances_m) <= 0.0
+        if touching or sum(by_way_m) <= NEAREST_M or checked >= MAX_PARTS:
             return Contact(0.5 * sum(first_s), tuple(collision.colliding_pairs(q)))
         begin_s, end_s = times_s[longer]
         middle_s = 0.5 * (begin_s + end_s)
+        near = [pair for pair, _ in clearances_m]
         halves = (begin_s, middle_s), (middle_s, end_s)
         parts += [(half, second_s, near) if longer == 0 else (first_s, half, near) for half in halves]
     return None

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.broadphase import Broadphase, Nearest, NearPair
+from planners.geometry.broadphase import CONTACT_M, UNKNOWN_M, Broadphase, Nearest, NearPair
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.parts import PartPair, Parts, RobotParts, parts_of
 from planners.geometry.shapes import (
@@ -32,6 +32,10 @@ from robot.trajectory import Vector
 
 DEPTH_ACCURACY_M = 0.0002  # depths of the same contact differ by this much between runs of the penetration algorithm
 HULL_EXCESS_M = 0.02  # a hull reaches at most this far beyond its link
+
+# Hulls that are further apart than this share of a margin need no check of parts, which takes up to a hundred times as
+# long as one of hulls: a few steps by the hulls lead as far.
+COARSE_SHARE = 0.2
 
 NO_CONTACT: Mapping[frozenset[str], float] = {}
 
@@ -147,7 +151,8 @@ class CollisionModel:
 
     A configuration ``q`` is the position of every movable joint in the order of ``joint_names``, shape (n,) [rad];
     ``lower_rad`` and ``upper_rad`` are the limits. ``travel_m_per_rad`` is the most that any point of the robot or of
-    what it holds moves per motion of each joint, shape (n,).
+    what it holds moves per motion of each joint, shape (n,), and ``approach_m_per_rad`` the most that each checked pair
+    comes nearer, shape (pairs, n).
 
     Checks use the robot's hulls, which are larger than its links, or else the collision shapes of its URDF. Two kinds
     of pairs of names are excepted: ``allowed`` ones may overlap by a depth, as :meth:`overlaps_m` measures it [m];
@@ -192,7 +197,7 @@ class CollisionModel:
         q = np.clip([positions_rad[name] for name in self.joint_names], self.lower_rad, self.upper_rad)
         columns = [self.joint_names.index(name) for name in moving]
         touching = self._broadphase.touching(q)
-        self._unchanged = frozenset(pair for pair in touching if not self._approach_m[pair, columns].any())
+        self._unchanged = frozenset(pair for pair in touching if not self.approach_m_per_rad[pair, columns].any())
         return q
 
     def count_all_contacts(self) -> None:
@@ -203,43 +208,53 @@ class CollisionModel:
         self, q: Vector, allowed: Mapping[frozenset[str], float] = NO_CONTACT, refined: RefinedPairs = NONE_REFINED
     ) -> bool:
         """Return true if a checked pair touches."""
-        if not self._broadphase.touches(q):
+        pair = self._broadphase.touches(q)
+        if pair is None:
             return False
-        if not (allowed or refined or self._unchanged):
+        # A check of every pair takes as long again.
+        if not (self._names[pair] in refined or self._names[pair] in allowed or pair in self._unchanged):
             return True
         return self._any_touches(self._touching(q), allowed, refined)
 
-    def margins_m(self, joint_travel: Vector) -> Vector:
-        """Return how far each pair can approach when joints travel, (m, n) [rad]: shape (m, pairs) [m]."""
-        return np.asarray(joint_travel @ self._approach_m.T)
+    def near(
+        self, q: Vector, margin_m: Sequence[float] | Vector, among: Sequence[int] | None = None
+    ) -> list[tuple[int, float]]:
+        """Return the pairs of hulls nearer than clearance and margin [m], and their distance beyond the clearance [m].
 
-    def candidate_pairs(
-        self,
-        q: Vector,
-        margin_m: Vector,
-        among: Sequence[int] | None = None,
-        allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        refined: RefinedPairs = NONE_REFINED,
-    ) -> tuple[int, ...]:
-        """Return the pairs ``among`` some, None for all, nearer than clearance and margin, shape (pairs,) [m]."""
+        ``margin_m`` has one for each pair ``among`` some, or of all. Pairs that touch have a distance of 0 or less.
+        """
         broadphase = self._broadphase
-        near = broadphase.near(q, margin_m) if among is None else broadphase.near_among(q, among, margin_m)
-        near = [pair for pair in near if pair not in self._unchanged]
-        if near and (allowed or refined):
-            broadphase.place(q)
-            near = [pair for pair in near if not self._is_allowed(pair, float(margin_m[pair]), allowed, refined)]
-        return tuple(near)
+        near = broadphase.near(q, np.asarray(margin_m)) if among is None else broadphase.near_among(q, among, margin_m)
+        return [each for each in near if each[0] not in self._unchanged] if self._unchanged else near
 
-    def touch_among(
-        self,
-        q: Vector,
-        among: Sequence[int],
-        allowed: Mapping[frozenset[str], float] = NO_CONTACT,
-        refined: RefinedPairs = NONE_REFINED,
-    ) -> bool:
-        """As :meth:`in_collision`, of the pairs of shapes with some indices only."""
+    def pairs_of(self, names: Collection[frozenset[str]]) -> list[int]:
+        """Return the pairs of some pairs of names."""
+        return [pair for pair, each in enumerate(self._names) if each in names] if names else []
+
+    def clearance_m(self, q: Vector, pair: int, margin_m: float) -> float:
+        """Return how much nearer the hulls of a pair could come, 0 or less in contact, at most ``margin_m`` [m]."""
+        return self._broadphase.clearance_m(q, pair, margin_m)
+
+    def excepted_clearance_m(
+        self, q: Vector, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], refined: RefinedPairs
+    ) -> float:
+        """As :meth:`clearance_m`, of a pair with an allowed overlap or to be refined."""
+        clearance_m, names = self._broadphase.clearance_m(q, pair, margin_m), self._names[pair]
+        if clearance_m == margin_m > 0.0:
+            return margin_m
         self._broadphase.place(q)
-        return self._any_touches(self._broadphase.touching_among(among), allowed, refined)
+        if names in allowed:
+            clearance_m = min(margin_m, allowed[names] + DEPTH_ACCURACY_M - self._overlap_m(pair))
+        if names not in refined or (clearance_m > 0.0 and clearance_m >= COARSE_SHARE * margin_m):
+            return clearance_m
+        if self._has_convex_parts(pair):
+            parts = self._parts_of_pair(pair)
+            by_parts_m = parts.nearest().distance_m - float(self._apart_m[pair]) - CONTACT_M
+            return by_parts_m if by_parts_m > 0.0 and not self._enclose(pair, parts) else clearance_m
+        # The margin is 0 where the joints that move do not move the pair.
+        if self._apart(pair, margin_m):
+            return max(margin_m, UNKNOWN_M)
+        return clearance_m if clearance_m > 0.0 or not self._apart(pair, 0.0) else UNKNOWN_M
 
     def colliding_pairs(self, q: Vector, refined: RefinedPairs | None = None) -> list[CollidingPair]:
         """Return every pair that overlaps, deepest first; by parts for ``refined`` pairs, for all where it is None."""
@@ -281,7 +296,7 @@ class CollisionModel:
         found: dict[int, Nearest] = {}
         candidates = self._broadphase.near(q, np.full(len(self._pairs), within_m))
         self._broadphase.turn(q)
-        for pair in candidates:
+        for pair, _ in candidates:
             nearest = self._broadphase.nearest(pair)
             # Only the hulls may be in the way.
             if nearest.distance_m <= HULL_EXCESS_M and self._has_convex_parts(pair):
@@ -331,7 +346,7 @@ class CollisionModel:
         self._apart_m = np.where(link[first] != link[second], thick_m[first] + thick_m[second], 0.0)
         # Whether each joint carries each body.
         self._carried = self._joints.by_joint(reach_m, bounds=True) > 0.0
-        self._approach_m: Vector = self._joints.by_joint(approach(reach_m, self._pairs), bounds=True)
+        self.approach_m_per_rad: Vector = self._joints.by_joint(approach(reach_m, self._pairs), bounds=True)
         travel_m = np.vstack((reach_m, self._frames_reach_m))
         self.travel_m_per_rad = self._joints.by_joint(travel_m, bounds=True).max(axis=0)
         shapes = [body.shape for body in self._bodies]
@@ -349,21 +364,19 @@ class CollisionModel:
         # A check of parts takes up to a hundred times as long as this.
         if any(self._names[pair] not in refined and self._names[pair] not in allowed for pair in pairs):
             return True
-        return not all(self._is_allowed(pair, 0.0, allowed, refined) for pair in pairs)
+        return not all(self._is_allowed(pair, allowed, refined) for pair in pairs)
 
-    def _is_allowed(
-        self, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], refined: RefinedPairs
-    ) -> bool:
-        """Return true if a pair is as far apart as it must be, a margin included, although its hulls are not."""
+    def _is_allowed(self, pair: int, allowed: Mapping[frozenset[str], float], refined: RefinedPairs) -> bool:
+        """Return true if a pair is as far apart as it must be although its hulls are not."""
         names = self._names[pair]
         if names in allowed:
-            depth_m = allowed[names] + DEPTH_ACCURACY_M - margin_m
+            depth_m = allowed[names] + DEPTH_ACCURACY_M
             if -self._broadphase.distance_m(pair) <= depth_m:
                 return True
             by_parts = self._has_convex_parts(pair)
             if by_parts and not self._parts_of_pair(pair).deeper_than(depth_m - float(self._apart_m[pair])):
                 return True
-        return names in refined and self._apart(pair, margin_m)
+        return names in refined and self._apart(pair, 0.0)
 
     def _overlap_m(self, pair: int) -> float:
         """Return an upper bound of a pair's overlap, negative for hulls beyond their required clearance [m]."""
@@ -380,8 +393,12 @@ class CollisionModel:
         parts = self._parts_of_pair(pair)
         if parts.nearer_than(margin_m + float(self._apart_m[pair])):
             return False
+        return not self._enclose(pair, parts)
+
+    def _enclose(self, pair: int, parts: PartPair) -> bool:
+        """Return true if a body of a pair is inside the other, whose parts it does not touch."""
         # Parts are not everywhere inside a link, and triangles nowhere. An object of triangles is a shell like a room.
-        return not parts.encloses(*(self._bodies[index].is_link for index in self._pairs[pair]))
+        return parts.encloses(*(self._bodies[index].is_link for index in self._pairs[pair]))
 
     def _has_convex_parts(self, pair: int) -> bool:
         return self._parts.convex and not self._names[pair] & self._scaled

@@ -41,6 +41,7 @@ from planners.motions.path import (
     Query,
     TreeSearch,
     curve_free,
+    line_free_sparsely,
     via_point,
     without_detours,
 )
@@ -160,7 +161,7 @@ def _straight(task: MotionTask, budget: Budget) -> Motion | None:
         elif same_point(task.start, goal):
             return Motion(standing(task.joint_names, task.start), STRAIGHT_LINE, index)
         else:
-            free = task.space.line_free(task.start, goal, SPARSE_STEP_M)
+            free = line_free_sparsely(task.space, task.start, goal, SPARSE_STEP_M)
             curve = line(task.start, goal, task.limits) if free else None
         trajectory = None if curve is None else _certified(task, curve)
         if trajectory is not None:

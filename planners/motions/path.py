@@ -302,7 +302,7 @@ class _Grower:
     def _step(self, point: Vector, target: Vector, project: Project) -> Vector | None:
         space, way = self._query.space, target - point
         length = float(np.linalg.norm(way))
-        if length <= STEP_RAD and space.line_free(point, target, self._query.step_m):
+        if length <= STEP_RAD and line_free_sparsely(space, point, target, self._query.step_m):
             return target
         step = min(STEP_RAD, 0.5 * length)
         reached = project(point + way * (step / max(length, STEP_RAD)))
@@ -310,7 +310,7 @@ class _Grower:
             return None
         if np.linalg.norm(target - reached) > length:
             return None
-        return reached if space.line_free(point, reached, self._query.step_m) else None
+        return reached if line_free_sparsely(space, point, reached, self._query.step_m) else None
 
 
 def via_point(

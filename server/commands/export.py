@@ -68,11 +68,7 @@ def _export(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         video=not options.no_video,
         max_gap_s=options.max_gap,
     )
-    try:
-        done = export(chosen, load_registry(options.interfaces or ()), terminal.say)
-    except OSError as error:
-        terminal.say(f"armbridge: {error}")
-        return ExitCode.FAILED
+    done = export(chosen, load_registry(options.interfaces or ()), terminal.say)
     for problem in done.problems:
         terminal.say(f"* {problem}")
     cameras = ", ".join(done.cameras) or "no camera"

@@ -12,6 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from planners.errors import PlannerError
 from robot import logs
 from robot.calibration import Calibration, find_calibration
 from robot.description import robot_folder
@@ -184,10 +185,10 @@ def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
     except (ConfigurationError, DescriptionError) as error:
         terminal.say(f"armbridge: {error}")
         return ExitCode.USAGE
-    except (RobotError, ServerError) as error:
+    except (RobotError, ServerError, PlannerError) as error:
         terminal.say(f"armbridge: {error}")
     except OSError as error:
-        # A path that is too long, or leads through a folder of somebody else.
+        # A disk that is full, a path that is too long, or one through a folder of somebody else.
         if error.filename is None:
             raise
         terminal.say(f"armbridge: {str(error.filename)[:200]}: {error.strerror}")

@@ -142,9 +142,6 @@ def _import(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
             overwrite=options.overwrite,
         )
         lines = importing.import_robot(chosen, terminal.say)
-    except (PlannerError, OSError) as error:
-        terminal.say(f"armbridge: {error}")
-        return ExitCode.FAILED
     except KeyboardInterrupt:
         terminal.say("armbridge: stopped; nothing was written")
         return ExitCode.FAILED

@@ -3,7 +3,7 @@
 import asyncio
 import functools
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from robot.arm_group import ArmGroup
@@ -67,28 +67,20 @@ class ArmControl(Feature):
         self._states[arm].take_health(health)
 
 
-class Restart:
-    """Start of the server in place of the present one, which an arm's new calibration asks for."""
-
-    def __init__(self) -> None:
-        self.requested = asyncio.Event()
-        self.recalibrated: Recalibrated | None = None
-
-    def request(self, recalibrated: Recalibrated) -> None:
-        """Have the server start again with a calibration: everything made with the old one is made again."""
-        self.recalibrated = recalibrated
-        self.requested.set()
-
-
 class CommissioningOfArms(Feature):
     """Commissioning of each arm, which publishes a calibration with which this server has started again."""
 
     name = "commissioning"
 
     def __init__(
-        self, context: ServerContext, restart: Restart, recalibrated: Recalibrated | None, *, shared_calibration: bool
+        self,
+        context: ServerContext,
+        start_again: Callable[[Recalibrated], None],
+        recalibrated: Recalibrated | None,
+        *,
+        shared_calibration: bool,
     ) -> None:
-        self._restart = restart
+        self._start_again = start_again
         self._shared_calibration = shared_calibration
         self._of_arms: dict[str, Commissioning] = {}
         folder = data_directory(os.environ) / "verified_calibrations"
@@ -126,7 +118,7 @@ class CommissioningOfArms(Feature):
                 raise OrderRefused("the arms of a classroom have one calibration together, which is not changed here")
             check_state_rate(served.settings.joint_state_rate_hz)
             file = calibration_file(name, served.description)
-            return CalibrationProcedure(arm, served, file, context.stop, self._restart.request)
+            return CalibrationProcedure(arm, served, file, context.stop, self._start_again)
         if procedure == "verify":
             calibration = served.description.calibration
             joints = () if calibration is None else calibration.joints

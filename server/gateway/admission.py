@@ -51,7 +51,9 @@ _IPV6_FIELDS = 6
 
 def host_addresses() -> Sequence[str]:
     """Return the addresses at which other machines may reach this one: IPv4 first, no loopback or link-local."""
-    lines = [line.split() for line in _read_table().splitlines()]
+    # A kernel without IPv6 has no table.
+    text = _IPV6_TABLE.read_text() if _IPV6_TABLE.exists() else ""
+    lines = [line.split() for line in text.splitlines()]
     found = [fields[0] for fields in lines if len(fields) == _IPV6_FIELDS and fields[3] == _GLOBAL_SCOPE]
     return [*_ipv4_addresses(), *(str(IPv6Address(bytes.fromhex(digits))) for digits in found)]
 
@@ -68,14 +70,6 @@ def _ipv4_addresses() -> list[str]:
                 continue
             found.append(socket.inet_ntoa(answer[20:24]))
     return [address for address in found if not address.startswith(("127.", "169.254."))]
-
-
-def _read_table() -> str:
-    try:
-        return _IPV6_TABLE.read_text()
-    except OSError:
-        # A kernel without IPv6.
-        return ""
 
 
 # Connections at once from an address: as many as the rate allows in this time [s].
@@ -300,13 +294,11 @@ class AllowedOrigins:
         theirs = read_authority(rest) if separator and scheme in _PORTS else None
         if theirs is None:
             return False
-        return theirs.is_loopback or self._is_own(scheme, theirs, host, "https" if encrypted else "http")
-
-    def _is_own(self, scheme: str, theirs: Authority, host: Authority, own_scheme: str) -> bool:
+        own_scheme = "https" if encrypted else "http"
         usual_port = _PORTS[own_scheme]
         port = theirs.port or usual_port
         own_port = port == (host.port or usual_port) or port in self._classroom_ports
-        return scheme == own_scheme and theirs.host == host.host and own_port
+        return theirs.is_loopback or (scheme == own_scheme and theirs.host == host.host and own_port)
 
 
 class HandshakeRequest(NamedTuple):

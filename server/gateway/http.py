@@ -53,7 +53,6 @@ BODY_TYPE = "application/json"
 MAX_UNREAD_BYTES = 256 << 20
 
 ROBOT = "robot"
-DESCRIPTIONS = ("description.urdf", "description.srdf")
 
 # Names that vite gives to files with a hash of their content: such a file never changes.
 _HASHED = re.compile(r"assets/[^/]+-[A-Za-z0-9_-]{8}\.[a-z0-9.]+")
@@ -341,7 +340,10 @@ class HttpHandler:
         # Large meshes do not put the page out, nor does their disk hold it up.
         self._page_files = FileCache()
         self._robot_files = FileCache()
-        self._descriptions = _descriptions(robot) if robot else {}
+        self._descriptions: dict[str, bytes] = {}
+        if robot is not None:
+            urdf = with_package_urls(robot.urdf, package_name(robot))
+            self._descriptions = {"description.urdf": urdf.encode(), "description.srdf": robot.srdf.encode()}
         self._log = LogLimiter()
         self._unread_bytes = 0
 
@@ -474,11 +476,6 @@ def _name(path: str) -> str | None:
     if parts != [""] and any(part in ("", ".", "..") for part in parts):
         return None
     return name[1:]
-
-
-def _descriptions(robot: RobotModel) -> dict[str, bytes]:
-    texts = (with_package_urls(robot.urdf, package_name(robot)), robot.srdf)
-    return dict(zip(DESCRIPTIONS, (text.encode() for text in texts), strict=True))
 
 
 def _cors(area: str) -> dict[str, str]:

@@ -105,7 +105,7 @@ class Inbox:
             return
         until_s = self._turns.until_s() if self.empty and not self._session.congested else None
         received = Waiting(frame, len(frame), STOP_EPOCHS.present if epoch is None else epoch)
-        if len(frame) >= LONG_FRAME_BYTES:
+        if until_s is not None and len(frame) >= LONG_FRAME_BYTES:
             received.light = isinstance(frame, str) and self.client.identified and is_light(frame)
             if not received.light:
                 until_s = None

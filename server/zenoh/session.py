@@ -58,7 +58,6 @@ class SessionThread:
         self._jobs: queue.Queue[Job] = queue.Queue(MAX_JOBS)
         self._calls: queue.Queue[Job] = queue.Queue(MAX_JOBS)
         self._closing = threading.Event()
-        self.rejected = 0
         self._thread = threading.Thread(target=self._run, name="zenoh", daemon=True)
 
     def start(self) -> None:
@@ -84,7 +83,6 @@ class SessionThread:
         try:
             jobs.put_nowait(job)
         except queue.Full:
-            self.rejected += 1
             return False
         return True
 

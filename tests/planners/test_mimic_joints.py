@@ -65,7 +65,7 @@ def test_fingers_that_close_on_each_other_touch_and_are_said_to_come_nearer(coll
     apart, way = np.zeros(3), 0.6 * (np.array(collision.joint_names) == "grip")
     assert frozenset(("left", "right")) in {pair.links for pair in collision.colliding_pairs(apart - way)}
     assert not collision.in_collision(apart)
-    assert collision.candidate_pairs(apart, collision.margins_m(way[np.newaxis])[0])
+    assert collision.near(apart, collision.approach_m_per_rad @ way)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -120,6 +120,7 @@ class _BroadPhaseManager:
     def collide(self, callback: CollisionCallBackDefault) -> bool: ...
 
 class CollisionCallBackDefault:
+    collisionPairIndex: int
     def __init__(
         self, geometry_model: GeometryModel, geometry_data: GeometryData, stop_at_first_collision: bool
     ) -> None: ...

@@ -7,9 +7,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.errors import StoppedError
-from planners.geometry.certificate import EARLIEST_STEP_M, FINEST_STEP_M, Cubics, certify, encounter, first_contact
+from planners.geometry.certificate import (
+    CHECK_STEP_M,
+    EARLIEST_STEP_M,
+    FINEST_STEP_M,
+    Cubics,
+    certify,
+    encounter,
+    first_contact,
+    line_free,
+)
 from planners.geometry.collision import CollisionModel
-from planners.geometry.joint_space import JointSpace
 from planners.pipeline import Planner
 from planners.problem import ConcurrencyQuestion, MoveItErrorCode, PlanningFailure
 from planners.scene import Box
@@ -105,10 +113,10 @@ class Discs:
     """A point in a plane among round obstacles: its distance to them is known."""
 
     travel_m_per_rad = np.array([1.0, 1.0])
-    line_free = JointSpace.line_free
 
     def __init__(self, *discs):
         self.discs = discs
+        self.approach_m_per_rad = np.ones((len(discs) + 1, 2))
         self.asked = 0
 
     def distance(self, point, number=None):
@@ -116,29 +124,25 @@ class Discs:
         return min((np.hypot(point[0] - x, point[1] - y) - radius for x, y, radius in discs), default=np.inf)
 
     def free(self, point):
-        self.asked += 1
         return self.distance(point) > 0.0
 
-    def candidate_pairs(self, points, joint_travel, among):
-        every = range(len(self.discs))
-        return [
-            tuple(each for each in (every if known is None else known) if self.distance(point, each) <= travel.sum())
-            for point, travel, known in zip(points, joint_travel, among, strict=True)
-        ]
+    def near(self, point, margins_m):
+        self.asked += 1
+        clearances_m = [(number, self.distance(point, number)) for number in range(len(self.discs))]
+        return [each for each in clearances_m if each[1] < margins_m[each[0]]]
 
-    def touches_any(self, point, among):
-        if among is None:
-            return not self.free(point)
-        return any(self.distance(point, number) <= 0.0 for number in among)
+    def clearance_m(self, number, point, margin_m):
+        self.asked += 1
+        return min(margin_m, self.distance(point, number))
 
 
 def line(start, end):
-    return Cubics(np.array([[np.array(start) + (np.array(end) - start) * share / 3.0 for share in range(4)]]))
+    return Cubics.line(np.array(start), np.array(end))
 
 
 def point_on(curve, at):
     """The point of cubic pieces at a place in pieces from the start."""
-    i = min(int(at), len(curve) - 1)
+    i = min(int(at), len(curve.coefficients) - 1)
     u = at - i
     return np.array([(1 - u) ** 3, 3 * u * (1 - u) ** 2, 3 * u**2 * (1 - u), u**3]) @ curve.coefficients[i]
 
@@ -163,8 +167,8 @@ def test_a_line_is_free_when_no_disc_is_on_it(start, end, obstacles):
     nearest = min((around.distance(point) for point in start + along * (end - start)), default=np.inf)
     if around.distance(start) <= 0.0:
         return
-    if around.line_free(start, end, FINEST_STEP_M):
-        assert nearest > -FINEST_STEP_M
+    if line_free(around, start, end):
+        assert nearest > -CHECK_STEP_M
     else:
         assert nearest < FINEST_STEP_M
 
@@ -173,7 +177,7 @@ def test_a_line_is_free_when_no_disc_is_on_it(start, end, obstacles):
 @given(st.integers(0, 10_000), discs)
 def test_a_curve_is_free_when_no_disc_is_on_it(seed, obstacles):
     curve, around = wavy(seed), Discs(*obstacles)
-    nearest = min(around.distance(point_on(curve, at)) for at in np.linspace(0.0, len(curve), 2001))
+    nearest = min(around.distance(point_on(curve, at)) for at in np.linspace(0.0, len(curve.coefficients), 2001))
     at = first_contact(around, curve, FINEST_STEP_M)
     if at is None:
         assert nearest > -1e-3 or min(map(around.distance, curve.coefficients[[0, -1], [0, 3]])) <= 0.0
@@ -181,28 +185,34 @@ def test_a_curve_is_free_when_no_disc_is_on_it(seed, obstacles):
         assert around.distance(point_on(curve, at)) <= 0.0
 
 
+def test_a_long_way_past_an_obstacle_takes_a_few_checks_and_a_way_along_its_edge_as_many_as_it_is_close():
+    far, close = Discs((0.0, 0.6, 0.1)), Discs((0.0, 0.6, 0.599))
+    for around in (far, close):
+        assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M) is None
+    assert far.asked <= 12
+    assert far.asked < close.asked < 100
+
+
 def test_a_coarse_step_only_glances():
     around = Discs((0.123, 0.0, 0.0003))
-    assert around.line_free(np.array([-1.0, 0.0]), np.array([1.0, 0.0]), 0.5)
-    assert around.asked < 10
+    assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), 0.1) is None
     # The end is looked at all the same.
-    assert not Discs((1.0, 0.0, 0.0001)).line_free(np.array([0.0, 0.0]), np.array([1.0, 0.0]), 0.5)
+    assert not line_free(Discs((1.0, 0.0, 0.0001)), np.array([0.0, 0.0]), np.array([1.0, 0.0]))
+
+
+def test_no_joint_moves_further_between_two_places_than_the_bound_of_its_travel():
+    curve = wavy(4)
+    at = np.linspace(0.0, len(curve.coefficients), 601)
+    moved = np.cumsum(np.abs(np.diff([point_on(curve, each) for each in at], axis=0)), axis=0)
+    knots = np.arange(len(curve.travelled_rad))
+    bounds = np.stack([np.interp(at, knots, joint) for joint in curve.travelled_rad.T], axis=1)
+    assert np.all(np.diff(bounds, axis=0) >= np.diff(moved, axis=0, prepend=0.0) - 1e-12)
 
 
 def test_the_earliest_of_several_contacts_is_told():
     around = Discs((-0.5, 0.0, 0.05), (0.0, 0.0, 0.2), (0.7, 0.0, 0.1))
     at = first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M)
     assert -1.0 + 2.0 * at == pytest.approx(-0.55, abs=2.0 * EARLIEST_STEP_M)
-
-
-def test_a_line_run_through_at_any_speed_is_straight():
-    start, end = np.array([0.1, 0.2]), np.array([0.7, -0.4])
-    shares = np.array([[0.0, 0.0, 0.1, 0.2], [0.2, 0.3, 0.9, 1.0]])
-    assert Cubics(start + shares[:, :, None] * (end - start)).straight()
-    overshoots = np.array([[0.0, 0.4, 1.3, 1.0]])
-    assert not Cubics(start + overshoots[:, :, None] * (end - start)).straight()
-    assert not Cubics(np.zeros((3, 4, 2))).straight()
-    assert not wavy(3).straight()
 
 
 PAIR = model.parse(PAIR_URDF, PAIR_SRDF)

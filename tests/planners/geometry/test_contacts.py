@@ -5,7 +5,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from planners.geometry.broadphase import FEW_SHAPES
+from planners.geometry.broadphase import FEW_SHAPES, UNKNOWN_M
+from planners.geometry.certificate import line_free
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.parts import PartPair, parts_of
@@ -44,10 +45,11 @@ def test_touching_is_overlapping(crowded):
     broadphase, fresh, verdicts = build(), build(), set()
     for q in states:
         expected = fresh.touching(q)
-        assert broadphase.touches(q) == bool(expected)
+        assert (broadphase.touches(q) in expected) if expected else broadphase.touches(q) is None
         # What was found before, elsewhere and among some of the pairs, leaves nothing behind.
         assert broadphase.touching(q) == expected
-        assert broadphase.touching_among(range(0, len(broadphase._pairs), 2)) == [i for i in expected if i % 2 == 0]
+        alone = broadphase.near_among(q, range(0, len(broadphase._pairs), 2), np.zeros(len(broadphase._pairs[::2])))
+        assert [pair for pair, _ in alone] == [i for i in expected if i % 2 == 0]
         verdicts.add(bool(expected))
     assert verdicts == {True, False}
 
@@ -72,8 +74,17 @@ def test_near_is_nearer_than_the_margin_of_each_pair(crowded, margins_m):
         # Distances of touching meshes are those of single triangles.
         if np.abs(slack_m).min() > 1e-5:
             near = np.flatnonzero(slack_m < 0.0).tolist()
-            assert broadphase.near(q, margins_m) == near
-            assert broadphase.near_among(q, range(0, count, 2), margins_m) == [pair for pair in near if pair % 2 == 0]
+            found = dict(broadphase.near(q, margins_m))
+            assert list(found) == near
+            alone = broadphase.near_among(q, range(0, count, 2), margins_m[::2])
+            assert [pair for pair, _ in alone] == [pair for pair in near if pair % 2 == 0]
+            known_m = slack_m + margins_m
+            for pair, clearance_m in (*found.items(), *alone):
+                assert (clearance_m <= 0.0) == (known_m[pair] <= 0.0)
+                if pair in broadphase._triangles:
+                    assert clearance_m <= UNKNOWN_M
+                elif clearance_m > 0.0:
+                    assert clearance_m == pytest.approx(known_m[pair], abs=2e-6)
 
 
 # Two small tetrahedra at the ends of the boom: between them is only their hull.
@@ -140,8 +151,8 @@ def test_a_motion_out_of_a_gap_is_judged_by_the_mesh(crane):
     lifted, extended, elsewhere = np.array([(0.0, -0.3, 0.0), (0.0, 0.0, 0.1), (1.0, 0.0, 0.0)])
     space = JointSpace(collision, joints, start)
     assert space.free(start)
-    assert space.line_free(start, lifted)
-    assert space.line_free(start, extended)
+    assert line_free(space, start, lifted)
+    assert line_free(space, start, extended)
     assert not JointSpace(collision, joints, elsewhere).free(start)
     assert JointSpace(collision, joints, elsewhere, also_free=[start]).free(start)
 

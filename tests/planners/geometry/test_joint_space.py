@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
+from planners.geometry.certificate import line_free
 from planners.geometry.collision import CollisionModel
-from planners.geometry.joint_space import ALL_PAIRS, CONDITION_STEP_M, NO_CANDIDATES, JointSpace
+from planners.geometry.joint_space import CONDITION_STEP_M, JointSpace
 from planners.scene import Box, Pose, SceneObject
 from robot.description import model
 from tests.planners.invariants import BLOCKED_LINES
@@ -14,8 +15,8 @@ HOME, TURNED = np.zeros(5), np.array([1.0, 0.0, 0.0, 0.0, 0.0])
 
 def test_lines_through_the_arm_are_blocked_from_either_side(joint_space):
     for start, end in BLOCKED_LINES:
-        assert not joint_space.line_free(np.array(start), np.array(end))
-        assert not joint_space.line_free(np.array(end), np.array(start))
+        assert not line_free(joint_space, np.array(start), np.array(end))
+        assert not line_free(joint_space, np.array(end), np.array(start))
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -23,7 +24,7 @@ def test_nothing_touches_within_a_range_that_is_free(space_in, seed):
     space, rng, free = space_in(around_the_arm(seed)), np.random.default_rng(seed), 0
     for _ in range(100):
         point, joint_travel = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad), rng.uniform(0.0, 0.1, 5)
-        if space.candidate_pairs(point[None], joint_travel[None], [ALL_PAIRS]) == [NO_CANDIDATES]:
+        if not space.near(point, space.approach_m_per_rad @ joint_travel):
             free += 1
             corners = point + joint_travel * rng.choice([-1.0, 1.0], (20, 5))
             inside = point + joint_travel * rng.uniform(-1.0, 1.0, (20, 5))
@@ -31,27 +32,32 @@ def test_nothing_touches_within_a_range_that_is_free(space_in, seed):
     assert free > 5
 
 
-def test_threats_to_a_wide_range_include_those_to_a_narrow_one_in_it(space_in):
-    space, rng = space_in(around_the_arm(1)), np.random.default_rng(0)
-    wide, narrow = np.full((1, 5), 0.1), np.full((1, 5), 0.05)
+def test_a_pair_has_the_same_clearance_looked_at_alone_and_keeps_what_the_joints_cannot_use_up(space_in):
+    space, rng, seen = space_in(around_the_arm(1)), np.random.default_rng(0), 0
+    margins_m = np.full(len(space.approach_m_per_rad), 0.1)
     for _ in range(50):
         point = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad)
-        within = point + rng.uniform(-0.05, 0.05, 5)
-        around = space.candidate_pairs(point[None], wide, [ALL_PAIRS])
-        alone = space.candidate_pairs(within[None], narrow, [ALL_PAIRS])
-        assert space.candidate_pairs(within[None], narrow, around) == alone
-        assert space.touches_any(within, around[0]) == (not space.free(within))
+        step = rng.uniform(-0.05, 0.05, 5)
+        near = space.near(point, margins_m)
+        assert space.free(point) == all(clearance_m > 0.0 for _, clearance_m in near)
+        for pair, clearance_m in near:
+            assert space.clearance_m(pair, point, 0.1) == pytest.approx(clearance_m, abs=1e-6)
+            least_m = clearance_m - space.approach_m_per_rad[pair] @ np.abs(step)
+            if clearance_m > 0.0:
+                seen += 1
+                assert space.clearance_m(pair, point + step, 0.1) >= least_m - 1e-6
+    assert seen > 50
 
 
 def test_a_condition_is_asked_all_along_a_line_which_is_not_free_if_it_leaves_the_condition(collision, arm):
     asked = []
     space = JointSpace(collision, arm.joints, np.zeros(6), holds=lambda q: asked.append(q[0]) is None)
-    assert space.line_free(HOME, TURNED)
+    assert line_free(space, HOME, TURNED)
     steps_m = np.diff(np.sort(asked)) * collision.travel_m_per_rad[0]
     assert steps_m.max() <= 2.0 * CONDITION_STEP_M
     space = JointSpace(collision, arm.joints, np.zeros(6), holds=lambda q: not 0.4 < q[0] < 0.45)
     assert [space.free(point) for point in (HOME, TURNED, 0.42 * TURNED)] == [True, True, False]
-    assert not space.line_free(HOME, TURNED)
+    assert not line_free(space, HOME, TURNED)
 
 
 def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(space_in, changing, arm):
@@ -61,8 +67,8 @@ def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(space_in, chang
     space = JointSpace(changing, arm.joints, np.zeros(6), contacts)
     assert space.free(HOME)
     up, down = HOME + np.array([0.0, -0.4, 0.0, 0.0, 0.0]), HOME + np.array([0.0, 0.05, 0.0, 0.0, 0.0])
-    assert space.line_free(HOME, up)
-    assert not space.line_free(HOME, down)
+    assert line_free(space, HOME, up)
+    assert not line_free(space, HOME, down)
     assert space.contacts(down)
 
 
@@ -84,7 +90,9 @@ def test_an_allowed_contact_does_not_come_again_further_on(changing, arm):
     space = JointSpace(changing, arm.joints, q, overlaps_m)
     assert space.free(HOME)
     assert not space.free(TURNED)
-    assert space.candidate_pairs(TURNED[np.newaxis], np.zeros((1, 5)), [ALL_PAIRS]) != [NO_CANDIDATES]
+    assert any(
+        clearance_m <= 0.0 for _, clearance_m in space.near(TURNED, np.full(len(space.approach_m_per_rad), 0.01))
+    )
 
 
 def test_joints_of_a_group_need_not_stand_in_a_row():
@@ -94,4 +102,4 @@ def test_joints_of_a_group_need_not_stand_in_a_row():
     space = JointSpace(collision, crane.groups["ends"].joints, np.array([0.0, 0.3, 0.0]))
     assert collision.joint_names == ("turn", "lift", "slide")
     assert len(space.point(np.zeros(3))) == 2
-    assert space.line_free(np.array([0.0, 0.0]), np.array([1.0, 0.1]))
+    assert line_free(space, np.array([0.0, 0.0]), np.array([1.0, 0.1]))

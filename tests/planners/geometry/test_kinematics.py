@@ -96,5 +96,5 @@ def test_no_pair_comes_nearer_than_the_bound(arm):
             broadphase.place(state)
             distances_m.append(np.array([broadphase.distance_m(pair) for pair in pairs]))
         apart = distances_m[1] > 0.0
-        margins_m = collision.margins_m(np.abs(dq)[np.newaxis])[0]
+        margins_m = collision.approach_m_per_rad @ np.abs(dq)
         assert np.all((distances_m[0] - distances_m[1] <= margins_m + 1e-6)[apart])

@@ -13,7 +13,7 @@ from planners.errors import ShapeError
 from planners.files import plan_command, problem_file
 from planners.files.plan_command import Options
 from planners.geometry import surfaces
-from planners.geometry.certificate import certify
+from planners.geometry.certificate import certify, line_free
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.shapes import kinematic_urdf
 from planners.scene import AttachedObject, Cylinder, Mesh, Sphere
@@ -119,7 +119,7 @@ def test_no_motion_is_certified_along_which_a_small_body_stays_inside_a_link(arm
     start, end, rest = np.zeros(5), np.array([0.0, 0.0, 0.0, 0.0, 1e-4]), np.zeros((2, 5))
     space = JointSpace(changing, arm.joints, HOME)
     assert not space.free(start)
-    assert not space.line_free(end, start)
+    assert not line_free(space, end, start)
     contact = certify(space, Trajectory(arm.joints, np.array([0.0, 0.1]), np.array([start, end]), rest, rest))
     assert contact is not None
     assert contact.time_s == 0.0

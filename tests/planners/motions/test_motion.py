@@ -130,9 +130,10 @@ def work(task):
 
 
 @pytest.fixture
-def task_over_a_wall(task_between, collision, put):
+def task_over_a_wall(request, collision, put):
     put(collision, thing(Box((0.3, 0.02, 0.3)), 0.3, 0.0, 0.15))
-    return partial(task_between, [-0.6, 0.4, 0.0, 0.3, 0.0], [0.6, 0.4, 0.0, 0.3, 0.0])
+    # A joint space is of the scene that is there when it is made.
+    return partial(request.getfixturevalue("task_between"), [-0.6, 0.4, 0.0, 0.3, 0.0], [0.6, 0.4, 0.0, 0.3, 0.0])
 
 
 @pytest.mark.parametrize("blocked", BLOCKED_LINES)

@@ -308,8 +308,9 @@ def test_only_addresses_that_others_can_write_down_are_returned() -> None:
     assert [address for address in found if address.is_loopback or address.is_link_local] == []
 
 
-def test_ipv6_addresses_are_those_of_global_scope(monkeypatch):
-    monkeypatch.setattr(admission, "_read_table", lambda: IPV6_TABLE)
+def test_ipv6_addresses_are_those_of_global_scope(monkeypatch, tmp_path):
+    (tmp_path / "if_inet6").write_text(IPV6_TABLE)
+    monkeypatch.setattr(admission, "_IPV6_TABLE", tmp_path / "if_inet6")
     monkeypatch.setattr(admission, "_ipv4_addresses", lambda: ["10.0.0.2"])
     assert host_addresses() == ["10.0.0.2", "fd00::2"]
 

@@ -83,7 +83,6 @@ def test_a_stuck_network_delays_neither_work_nor_end(opened: SessionThread, monk
         accepted = sum(opened.submit(lambda _session: None) for _ in range(session_module.MAX_JOBS + 10))
         assert not opened.close()
     assert session_module.MAX_JOBS - 1 <= accepted <= session_module.MAX_JOBS
-    assert opened.rejected >= 9
 
 
 def test_a_failed_session_is_opened_again(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:

@@ -27,7 +27,7 @@ from server.arm.arms import ServedArm
 from server.arm.setup import Description
 from server.arrival import arrived_in
 from server.config import Settings
-from server.features.arms import ArmControl, CommissioningOfArms, PolicyChunks, Restart, teaching_of, teleoperation_of
+from server.features.arms import ArmControl, CommissioningOfArms, PolicyChunks, teaching_of, teleoperation_of
 from server.features.context import context_of
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
 from server.features.parking import Parkings
@@ -82,7 +82,9 @@ class ServerStage:
         self.context = context_of(settings, self.graph, (served, (served,)), pool)
         self.teaching, self.teleoperation = teaching_of(self.context), teleoperation_of(self.context)
         servo = Servo(self.context)
-        self.commissioning = CommissioningOfArms(self.context, Restart(), None, shared_calibration=False)
+        self.commissioning = CommissioningOfArms(
+            self.context, lambda _recalibrated: None, None, shared_calibration=False
+        )
         queue = GoalQueueing(self.context)
         chunks = PolicyChunks(self.context)
         of_arms = self.teaching, queue, servo, self.teleoperation, chunks

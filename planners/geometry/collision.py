@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.broadphase import CONTACT_M, UNKNOWN_M, Broadphase, Nearest, NearPair
+from planners.geometry.broadphase import CONTACT_M, Broadphase, Nearest, NearPair
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.parts import PartPair, Parts, RobotParts, parts_of
 from planners.geometry.shapes import (
@@ -247,14 +247,11 @@ class CollisionModel:
             clearance_m = min(margin_m, allowed[names] + DEPTH_ACCURACY_M - self._overlap_m(pair))
         if names not in refined or (clearance_m > 0.0 and clearance_m >= COARSE_SHARE * margin_m):
             return clearance_m
-        if self._has_convex_parts(pair):
-            parts = self._parts_of_pair(pair)
-            by_parts_m = parts.nearest().distance_m - float(self._apart_m[pair]) - CONTACT_M
-            return by_parts_m if by_parts_m > 0.0 and not self._enclose(pair, parts) else clearance_m
-        # The margin is 0 where the joints that move do not move the pair.
-        if self._apart(pair, margin_m):
-            return max(margin_m, UNKNOWN_M)
-        return clearance_m if clearance_m > 0.0 or not self._apart(pair, 0.0) else UNKNOWN_M
+        if not self._has_parts(pair):
+            return clearance_m
+        parts = self._parts_of_pair(pair)
+        by_parts_m = parts.nearest().distance_m - float(self._apart_m[pair]) - CONTACT_M
+        return by_parts_m if by_parts_m > 0.0 and not self._enclose(pair, parts) else clearance_m
 
     def colliding_pairs(self, q: Vector, refined: RefinedPairs | None = None) -> list[CollidingPair]:
         """Return every pair that overlaps, deepest first; by parts for ``refined`` pairs, for all where it is None."""
@@ -388,7 +385,7 @@ class CollisionModel:
 
     def _apart(self, pair: int, margin_m: float) -> bool:
         """Return true if parts of a pair are known and further apart than a margin [m], none inside the other body."""
-        if not self._parts.available or self._names[pair] & self._scaled:
+        if not self._has_parts(pair):
             return False
         parts = self._parts_of_pair(pair)
         if parts.nearer_than(margin_m + float(self._apart_m[pair])):
@@ -400,8 +397,11 @@ class CollisionModel:
         # Parts are not everywhere inside a link, and triangles nowhere. An object of triangles is a shell like a room.
         return parts.encloses(*(self._bodies[index].is_link for index in self._pairs[pair]))
 
+    def _has_parts(self, pair: int) -> bool:
+        return self._parts.available and not self._names[pair] & self._scaled
+
     def _has_convex_parts(self, pair: int) -> bool:
-        return self._parts.convex and not self._names[pair] & self._scaled
+        return self._parts.convex and self._has_parts(pair)
 
     def _parts_of_pair(self, pair: int) -> PartPair:
         first, second = self._pairs[pair].tolist()

@@ -242,7 +242,7 @@ class PartPair:
         return False
 
     def nearest(self) -> Nearest:
-        """Return the nearest or deepest points of convex parts, in the root link's frame."""
+        """Return the nearest points of parts, the deepest where convex ones overlap, in the root link's frame."""
         request, result = _distance_request()
         bounds_m = least_distance_m(self._first.boxes, self._second.boxes, self._between).ravel()
         found = Nearest(np.inf, np.zeros(3), np.zeros(3))

@@ -9,9 +9,9 @@ from typing import Any
 
 from planners.files import problem_file
 from planners.problem import PlanningFailure, PlanningProblem
-from planners.scene import Scene
-from robot.trajectory import Trajectory
+from planners.scene import EMPTY_SCENE, Scene
 from server.execution.goal import Answer, Goal
+from server.execution.motions import Performed
 from server.execution.queue import GoalListener
 from server.graph.permissions import LOOKING
 from server.graph.providers import CompleteResponse
@@ -38,11 +38,8 @@ class GoalRecord:
     stamp_s: float
     status: Message
     asked: Mapping[str, Any]
-    planned: tuple[Trajectory, ...]
-    summary: str  # methods and times of the plan, a sentence; empty without a plan
-    planning_time_s: float
+    performed: Performed  # without the path of the arm and the scene
     failure: PlanningFailure
-    problem: PlanningProblem | None  # problem that failed, else the first one; None where no file can hold it
     scene: Scene | None  # in which it was planned; None once it is forgotten
 
 
@@ -55,9 +52,8 @@ class GoalHistory(GoalListener):
         self._wall_clock = wall_clock
         self._records: OrderedDict[str, GoalRecord] = OrderedDict()
         node = graph.node("goal history")
-        offer = graph.services.offer
-        offer(node, "/armbridge/goal_history", "armbridge_msgs/srv/GetGoalHistory", self._history, rule=LOOKING)
-        offer(node, "/armbridge/goal_record", "armbridge_msgs/srv/GetGoalRecord", self._record, rule=LOOKING)
+        node.offer("/armbridge/goal_history", "armbridge_msgs/srv/GetGoalHistory", self._history, rule=LOOKING)
+        node.offer("/armbridge/goal_record", "armbridge_msgs/srv/GetGoalRecord", self._record, rule=LOOKING)
 
     def on_answer(self, goal: Goal, answer: Answer) -> None:
         """Keep the record of a goal, unless its answer is for one client alone, or no news of a stream."""
@@ -69,11 +65,8 @@ class GoalHistory(GoalListener):
             self._wall_clock(),
             final_status(goal, answer, self._robot),
             goal.request.message,
-            performed.planned,
-            performed.summary if performed.planned else "",
-            performed.planning_time_s,
+            replace(performed, executed=None, scene=EMPTY_SCENE),
             PlanningFailure(answer.code, answer.message),
-            performed.problem if isinstance(performed.problem, PlanningProblem) else None,
             performed.scene,
         )
         while len(self._records) > MAX_GOALS:
@@ -98,16 +91,16 @@ class GoalHistory(GoalListener):
         if record is None:
             text = f"goal_id: {goal_id[:40]!r} is not among the last {MAX_GOALS} goals that were answered"
             return {"success": False, "message": text}
-        text = json.dumps(record.asked, default=str)[:MAX_ASKED_CHARACTERS]
+        text, performed = json.dumps(record.asked, default=str)[:MAX_ASKED_CHARACTERS], record.performed
         return CompleteResponse(
             {
                 "success": True,
                 "message": "",
                 "asked": text,
-                "planned": await to_messages(record.planned, self._robot.root_link),
-                "duration_s": sum(motion.duration_s for motion in record.planned),
-                "summary": record.summary,
-                "planning_time_s": record.planning_time_s,
+                "planned": await to_messages(performed.planned, self._robot.root_link),
+                "duration_s": performed.duration_s,
+                "summary": performed.summary if performed.planned else "",
+                "planning_time_s": performed.planning_time_s,
                 "problem_name": "",
                 "problem": "",
                 **await self._file(goal_id, record),
@@ -115,14 +108,13 @@ class GoalHistory(GoalListener):
         )
 
     async def _file(self, goal_id: str, record: GoalRecord) -> dict[str, str]:
-        if record.problem is None:
+        problem = record.performed.problem
+        if not isinstance(problem, PlanningProblem):
             reason = "no problem file: the goal was refused before planning, follows a path, or brought its own motion"
             return {"message": reason}
         if record.scene is None:
             return {"message": f"no problem file: the scene has changed more than {MAX_SCENES} times since"}
         name = f"goal-{goal_id}-{record.failure.code.name}"
         # A scene of 10 000 objects takes tens of milliseconds.
-        text = await asyncio.to_thread(
-            problem_file.text, name, record.problem, record.scene, self._robot, record.failure
-        )
+        text = await asyncio.to_thread(problem_file.text, name, problem, record.scene, self._robot, record.failure)
         return {"problem_name": f"{name}.json", "problem": text}

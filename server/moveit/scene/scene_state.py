@@ -108,7 +108,12 @@ class SceneState(CurrentScene):
     ) -> None:
         """Apply a change in its turn, at once if it is small and none waits; refuse it if its request has ``ended``."""
         if self._applying is None and change.elements <= AT_ONCE_ELEMENTS:
-            done(self._refusal(change, positions_rad))
+            try:
+                self.apply(change, positions_rad)
+            except RefusedError as refusal:
+                done(refusal)
+            else:
+                done(None)
             return
         elements = sum(waiting.elements for waiting, *_ in self._waiting) + change.elements
         if self._waiting and elements > MAX_WAITING_ELEMENTS:
@@ -208,13 +213,6 @@ class SceneState(CurrentScene):
         for held in contents.attached.values():
             _ = held.message
         return contents, scene
-
-    def _refusal(self, change: SceneChange, positions_rad: OptionalPositions) -> RefusedError | None:
-        try:
-            self.apply(change, positions_rad)
-        except RefusedError as refusal:
-            return refusal
-        return None
 
     def _commit(self, contents: SceneContents, scene: Scene | None) -> None:
         if contents != self.contents:

@@ -103,3 +103,17 @@ def test_joints_of_a_group_need_not_stand_in_a_row():
     assert collision.joint_names == ("turn", "lift", "slide")
     assert len(space.point(np.zeros(3))) == 2
     assert line_free(space, np.array([0.0, 0.0]), np.array([1.0, 0.1]))
+
+
+def test_an_arm_without_meshes_may_leave_an_allowed_contact_but_not_deepen_it():
+    crane = model.parse(CRANE_URDF, CRANE_SRDF)
+    collision = CollisionModel(crane)
+    collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.2, 0.0, 0.215)))
+    start = np.zeros(3)
+    space = JointSpace(collision, crane.groups["arm"].joints, start, collision.overlaps_m(start))
+    assert space.free(start)
+    # The margin is far wider than the clearance, and no parts are known that could be further apart.
+    ((_, clearance_m),) = space.near(start, np.full(len(space.approach_m_per_rad), 0.05))
+    assert 0.0 < clearance_m < 0.001
+    assert line_free(space, start, np.array([0.0, -0.5, 0.0]))
+    assert not line_free(space, start, np.array([0.0, 0.3, 0.0]))

@@ -54,7 +54,7 @@ def test_a_viewer_gets_all_but_the_log_and_without_a_token_there_is_the_health_a
     told = told_by(port, VIEW_TOKEN)
     assert "server/diagnostics.json" in told
     assert "server/log.txt" not in told
-    assert "its log is not returned" in told["problems.txt"]
+    assert "server/log.txt: service /armbridge/last_log_lines: needs the role admin" in told["problems.txt"]
     told = told_by(port, None)
     assert [name for name in told if name.startswith("server/")] == ["server/health.json", "server/metrics.txt"]
     assert "armbridge_" not in told["server/metrics.txt"]

@@ -433,9 +433,13 @@ class Arm(ArmClock):
         elif isinstance(message, MotionEnded | CommandDone):
             if isinstance(message, CommandDone) and message.number == self._emergency:
                 self._emergency = None
-            # Held back until the next state, which must show it: that the arm holds again, a fault, an enabled arm.
-            connected = self.state.mode is not Mode.DISCONNECTED
-            if message.done if isinstance(message, CommandDone) else connected:
+            # Held back until the next state, which must show it: that the arm holds again, a fault, an enabled arm. A
+            # refused motion changes nothing, and is sent again at once where it came too late.
+            if isinstance(message, CommandDone):
+                shown = message.done
+            else:
+                shown = self.state.mode is not Mode.DISCONNECTED and message.outcome is not Outcome.REFUSED
+            if shown:
                 self._held.append(message)
             else:
                 self._answer(message)

@@ -132,7 +132,7 @@ class Broadphase:
         if self._triangles.isdisjoint(pair for pair, _ in found):
             return found
         self._place_alone(q)
-        return [(pair, self._clearance_m(pair, float(margin_m[pair]))) for pair, _ in found]
+        return [(pair, self._of_triangles_m(pair) if pair in self._triangles else bound) for pair, bound in found]
 
     def near_among(
         self, q: Vector, pairs: Iterable[int], margin_m: Sequence[float] | Vector
@@ -196,8 +196,11 @@ class Broadphase:
             return margin_m
         if pair not in self._triangles:
             return self._single_results[pair].distance_lower_bound + margin_m
-        # The first triangle within the margin ends the check: others may be nearer.
-        request.security_margin = self._least_m[pair]
+        return self._of_triangles_m(pair)
+
+    def _of_triangles_m(self, pair: int) -> float:
+        # The first triangle within a margin ends a check: others may be nearer.
+        self._single_requests[pair].security_margin = self._least_m[pair]
         return 0.0 if pin.computeCollision(self._geometry, self._single, pair) else UNKNOWN_M
 
     def _distance(self, pair: int) -> coal.DistanceResult:

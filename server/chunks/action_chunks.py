@@ -147,10 +147,8 @@ class ChunkMotion:
     """Motion of the arm's joints of a chunk, from targets that are blended with the targets of the chunk before.
 
     Attributes:
-        made: number of motions that were made: one, and one more for each cut.
+        made: latest motion that was made, and the time of its start [s]; None before the first.
         end: index of the chunk's first target that is not followed, and the reason; None where all are.
-        change_rad: greatest distance of the motion from the chunk's targets [rad].
-        positions_rad: positions in which the motion ends [rad].
         until_s: monotonic time of the last target that is followed [s].
     """
 
@@ -160,16 +158,24 @@ class ChunkMotion:
         self._limits = motion_limits(robot, group.joints, speed_limit)
         self._begins_s = 0.0
         self._cuts = list(CUTS_S)
-        self.made = 0
+        self.made: tuple[Trajectory, float] | None = None
         self.end = chunk.end
-        self.change_rad = chunk.moved_rad
-        self.positions_rad: Positions = {}
         self.until_s = targets.end_s
 
     @property
     def targets(self) -> Targets:
         """Targets that are followed, up to a contact."""
         return self._targets if self.until_s >= self._targets.end_s else self._targets.until(self.until_s)
+
+    @property
+    def change_rad(self) -> float:
+        """Greatest distance of the motion from the chunk's targets [rad]."""
+        if self.made is None:
+            return self.chunk.moved_rad
+        motion, at_s = self.made
+        names = tuple(name for name in self._joints if name in self.chunk.targets.joint_names)
+        away_rad = deviation_rad(self.chunk.targets.of_joints(names), motion.of_joints(names), at_s)
+        return max(self.chunk.moved_rad, float(away_rad.max(initial=0.0)))
 
     @property
     def motion(self) -> ExternalTrajectory:
@@ -192,12 +198,8 @@ class ChunkMotion:
         motion = follow(targets, start, at_s, self._limits)
         if reason := refusal(motion, self._joints, self._bounds, start[0], in_motion=True):
             raise _invalid(reason)
-        self.made += 1
         self._begins_s = at_s - (0.0 if point is None else point.lead.duration_s)
-        names = tuple(name for name in self._joints if name in self.chunk.targets.joint_names)
-        away_rad = deviation_rad(self.chunk.targets.of_joints(names), motion.of_joints(names), at_s)
-        self.change_rad = max(self.chunk.moved_rad, float(away_rad.max(initial=0.0)))
-        self.positions_rad = dict(zip(self._joints, motion.positions_rad[-1].tolist(), strict=True))
+        self.made = motion, at_s
         return motion
 
     def _of_all_joints(self, start_rad: Vector) -> Targets:
@@ -458,7 +460,7 @@ class ActionChunks:
 
     def _answer(self, motion: ChunkMotion, code: MoveItErrorCode, message: str) -> Message:
         until_s = time.time() + motion.until_s - self._clock() if motion.made else 0.0
-        held = motion.positions_rad if motion.end is not None and motion.made else {}
+        made = None if motion.end is None or motion.made is None else motion.made[0]
         return {
             "id": motion.chunk.chunk_id,
             "error_code": error_code(code),
@@ -466,8 +468,8 @@ class ActionChunks:
             "followed_until": Stamp.from_seconds(until_s).as_message(),
             "change": motion.change_rad,
             "refused_from": -1 if motion.end is None else motion.end[0],
-            "joint_names": list(held),
-            "nearest": list(held.values()),
+            "joint_names": [] if made is None else list(made.joint_names),
+            "nearest": [] if made is None else made.positions_rad[-1].tolist(),
         }
 
     def _publish(self, answer: Message) -> None:

@@ -142,19 +142,20 @@ def _averaged(targets: Targets, at_s: float, count: int, limits: MotionLimits) -
     # Before the first target and beyond the last the joints go on as they come there: the motion itself begins and
     # brakes within the limits.
     sampled = np.pad(sampled, ((margin - past, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    inside = slice(margin, margin + count + 1)
     for window in WINDOWS:
         positions = sampled
         if window:
             kernel = np.convolve(np.full(window, 1.0 / window), np.full(window, 1.0 / window))
             positions = np.stack([np.convolve(column, kernel, mode="same") for column in sampled.T], axis=-1)
-        velocities = np.gradient(positions, SAMPLE_S, axis=0)
-        accelerations = np.gradient(velocities, SAMPLE_S, axis=0)
-        kept = positions[inside], velocities[inside]
-        jerks = np.diff(accelerations[inside.start - 1 : inside.stop], axis=0) / SAMPLE_S
+        # Central differences, for which the first sample and the last have no neighbour.
+        velocities = (positions[2:] - positions[:-2]) / (2.0 * SAMPLE_S)
+        accelerations = (velocities[2:] - velocities[:-2]) / (2.0 * SAMPLE_S)
+        kept = positions[margin : margin + count + 1], velocities[margin - 1 : margin + count]
+        accelerations = accelerations[margin - 3 : margin + count - 1]
+        jerks = np.diff(accelerations, axis=0) / SAMPLE_S
         if (
             (np.abs(kept[1]) <= limits.velocity).all()
-            and (np.abs(accelerations[inside]) <= ACCELERATION_SHARE * limits.acceleration).all()
+            and (np.abs(accelerations[1:]) <= ACCELERATION_SHARE * limits.acceleration).all()
             and (np.abs(jerks) <= limits.jerk).all()
         ):
             break

@@ -29,6 +29,7 @@ from planners.problem import (
     RecheckQuestion,
 )
 from robot.arm_group import AnyArm
+from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
 from robot.trajectory import Trajectory
@@ -43,6 +44,7 @@ from server.execution.motions import (
     SENDING_S,
     SENDINGS_S,
     START_TOLERANCE_RAD,
+    STATE_AGE_S,
     ExternalTrajectory,
     Joints,
     MotionInProgress,
@@ -85,7 +87,7 @@ PLANNED_DURATION = "the duration of the planned motion"
 FASTER = ": raise the velocity and acceleration scaling"
 
 # A trajectory is expected at the arm after this multiple of the time that recent checks took: the first attempt by the
-# median, which no busy moment lengthens, others by the longest.
+# median, which no busy moment lengthens, and the second where a check fits between two ticks; others by the longest.
 CHECKS_AHEAD, RECENT_CHECKS = 1.1, 5
 
 PROGRESS_PERIOD_S = 0.2
@@ -291,9 +293,10 @@ class GoalExecutor:
         As in ros2_control's joint_trajectory_controller ("Trajectory Replacement"), except that the whole is checked
         before, which takes some milliseconds: it takes over that much later.
         """
-        for sending_s in SENDINGS_S:
+        for attempt, sending_s in enumerate(SENDINGS_S):
             asked_s, version = self._clock(), self._scene.scene.version
-            check_s = statistics.median_low(self._checks_s) if sending_s == SENDINGS_S[0] else max(self._checks_s)
+            brief = attempt == 0 or (attempt == 1 and self._checks_s[-1] < PERIOD_S)
+            check_s = statistics.median_low(self._checks_s) if brief else max(self._checks_s)
             horizon_s = sending_s + CHECKS_AHEAD * check_s
             if goal.reason or (joined := self._joined(goal, request, asked_s, horizon_s)) is None:
                 break
@@ -500,8 +503,13 @@ class GoalExecutor:
         # Not before the arm has the motion: listeners take milliseconds, in which it would pass the splice point.
         goal.report(Progress(GoalState.EXECUTING, summary, 0.0, motion.duration_s + to_come_s))
         watch = MotionWatch(self._arm, ended, goal, self._clock)
+        period_s, shown_by_s = PROGRESS_PERIOD_S, self._clock() + STATE_AGE_S
         while not watch.over:
-            progress = await watch.step(PROGRESS_PERIOD_S)
+            progress = await watch.step(period_s)
+            if goal.replaced and progress is None and not ended.done() and self._clock() < shown_by_s:
+                # The arm may yet refuse it, and its place on the path is not known to a tick.
+                period_s = PERIOD_S
+                continue
             if goal.reason and played.end is None:
                 if goal.replaced and not ended.done():
                     played.path_time, played.until_s = self._path_time(played), self._clock() + OUTGOING_S - SENDING_S

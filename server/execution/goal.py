@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import math
 import time
 from collections.abc import Callable, Coroutine, Mapping
@@ -154,6 +155,8 @@ class CancelScope:
     cancelled: asyncio.Future[str] = field(init=False, default_factory=_future)
     # True where another request may replace the motion without a stop; else the motion brakes.
     replaced: bool = field(init=False, default=False)
+    # Set at each cancellation: who waits for it goes on a turn of the event loop sooner than by the future above.
+    news: asyncio.Event = field(init=False, default_factory=asyncio.Event)
 
     @property
     def reason(self) -> str:
@@ -165,6 +168,7 @@ class CancelScope:
         self.replaced = replaced and (self.replaced or not self.cancelled.done())
         if not self.cancelled.done():
             self.cancelled.set_result(reason)
+        self.news.set()
 
     def check(self, phase: str) -> None:
         """Raise RefusedError if the request was cancelled; the error's sentence ends with the phase of the work."""
@@ -172,20 +176,35 @@ class CancelScope:
             raise refused(MoveItErrorCode.PREEMPTED, f"{self.reason} {phase}")
 
     async def unless_cancelled(self, work: Coroutine[Any, Any, Result]) -> Result | None:
-        """Return the result of some work; None when the request is cancelled before or meanwhile."""
-        if self.cancelled.done():
+        """Return the result of some work; None when the request is cancelled before or meanwhile.
+
+        The work is done in the present task: another task would begin and end some turns of the event loop later, in
+        which the server serves its clients first.
+        """
+        task = asyncio.current_task()
+        if task is None or self.cancelled.done():
             work.close()
             return None
-        task = asyncio.create_task(work)
+        working, interrupted = True, False
+
+        def interrupt(_cancelled: asyncio.Future[str]) -> None:
+            nonlocal interrupted
+            if working:
+                interrupted = task.cancel()
+
+        self.cancelled.add_done_callback(interrupt)
         try:
-            await asyncio.wait((task, self.cancelled), return_when=asyncio.FIRST_COMPLETED)
-            if not task.done():
-                task.cancel()
-                await asyncio.wait((task,))
+            return await work
+        except asyncio.CancelledError:
+            # The server itself may be ending the task as well.
+            if not interrupted or task.cancelling() > 1:
+                raise
+            return None
         finally:
-            # Reached with the work still going on only when the server itself is being ended.
-            task.cancel()
-        return None if task.cancelled() else task.result()
+            working = False
+            self.cancelled.remove_done_callback(interrupt)
+            if interrupted:
+                task.uncancel()
 
 
 class MotionWatch:
@@ -202,7 +221,8 @@ class MotionWatch:
     ) -> None:
         self._arm, self._motion, self._scope, self._gripping = arm, motion, scope, gripping
         self._arm_clock = ArmStopwatch(arm, clock)
-        self._awaited: tuple[asyncio.Future[Any], ...] = (motion, scope.cancelled)
+        self._braked = False
+        motion.add_done_callback(lambda _ended: scope.news.set())
 
     @property
     def over(self) -> bool:
@@ -211,10 +231,13 @@ class MotionWatch:
 
     async def step(self, period_s: float) -> MotionProgress | None:
         """Wait for a period, the motion's end or its cancellation; return its progress, None where it is unknown."""
-        await asyncio.wait(self._awaited, timeout=period_s, return_when=asyncio.FIRST_COMPLETED)
-        if self._scope.reason and not self._scope.replaced and len(self._awaited) > 1:
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(period_s):
+                await self._scope.news.wait()
+        self._scope.news.clear()
+        if self._scope.reason and not self._scope.replaced and not self._braked:
             self._arm.stop(self._motion)
-            self._awaited = (self._motion,)
+            self._braked = True
         progress = self._arm.progress(self._motion)
         pace = Pace() if self._gripping else self._arm.state.pace
         if progress is not None:

@@ -1,6 +1,7 @@
 """The server's handle on an arm process, whose servos are emulated within it; all tests have the same process."""
 
 import asyncio
+import functools
 from collections.abc import AsyncIterator
 from dataclasses import replace
 from typing import Any
@@ -11,7 +12,7 @@ import pytest_asyncio
 
 from harness.waiting import TIMEOUT_S, until
 from robot.arm import NO_MOTION, STATE_POLL_S, Arm
-from robot.messages import Mode, MotionProgress, Order, Outcome
+from robot.messages import Mode, MotionEnded, MotionProgress, Order, Outcome
 from robot.stop_epochs import STOP_EPOCHS
 from tests.helpers.arm_on_servos import ArmOnServos, to
 from tests.helpers.fake_arm import FakeArm
@@ -64,6 +65,16 @@ async def test_one_of_two_motions_is_stopped(rig: ArmOnServos) -> None:
     rig.arm.stop(roll)
     assert (await asyncio.wait_for(roll, TIMEOUT_S)).outcome is Outcome.STOPPED
     assert (await pan).outcome is Outcome.REACHED
+
+
+async def test_the_refusal_of_a_motion_does_not_wait_for_the_next_state_and_an_end_does() -> None:
+    arm: Any = FakeArm()
+    loop = asyncio.get_running_loop()
+    arm._motions, arm._held = {1: loop.create_future(), 2: loop.create_future()}, []
+    arm._answer = functools.partial(Arm._answer, arm)
+    for number, outcome in ((1, Outcome.REFUSED), (2, Outcome.STOPPED)):
+        Arm._received(arm, MotionEnded(number, outcome, ""))
+    assert [motion.done() for motion in arm._motions.values()] == [True, False]
 
 
 async def test_the_arm_process_s_own_way_to_the_rest_pose_is_waited_for() -> None:

@@ -24,6 +24,7 @@ from planners.problem import (
     RecheckQuestion,
 )
 from planners.scene import Scene
+from robot.control.pacing import PERIOD_S
 from robot.messages import ArmState, Mode, MotionEnded, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.execution import executor as execution
@@ -33,6 +34,7 @@ from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalStat
 from server.execution.monitors import CurrentScene, CurrentState
 from server.execution.motions import (
     STATE_AGE_S,
+    TICK_LATE_S,
     ExternalTrajectory,
     MotionsInProgress,
     PathTime,
@@ -462,6 +464,41 @@ async def under_way(stage: Stage) -> None:
     assert (await stage.answer()).message == "preempted by a test"
 
 
+async def test_a_motion_is_left_to_no_other_before_the_arm_shows_that_it_has_begun(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    stage.arm.state = replace(stage.arm.state, mode=Mode.HOLDING)
+    stage.goal.cancel("preempted by a test", replaced=True)
+    await settle()
+    assert stage.running is not None
+    assert not stage.running.done()
+    stage.arm.state = replace(stage.arm.state, mode=Mode.MOVING)
+    assert (await stage.answer()).message == "preempted by a test"
+
+
+async def test_who_ends_the_task_of_a_cancelled_goal_ends_it(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+    waiting = asyncio.create_task(stage.goal.unless_cancelled(asyncio.sleep(60.0)))
+    await settle()
+    stage.goal.cancel("a test")
+    waiting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+
+
+async def test_a_cancelled_goal_ends_its_work_and_not_its_task(stage: Stage) -> None:
+    await stage.begin(to(shoulder_pan=0.4))
+
+    async def wait() -> tuple[object, int]:
+        found = await stage.goal.unless_cancelled(asyncio.sleep(60.0))
+        await asyncio.sleep(0.0)
+        return found, cast("asyncio.Task[Any]", asyncio.current_task()).cancelling()
+
+    waiting = asyncio.create_task(wait())
+    await settle()
+    stage.goal.cancel("a test")
+    assert await waiting == (None, 0)
+
+
 @pytest.mark.stepped_time
 async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) -> None:
     await under_way(stage)
@@ -551,6 +588,34 @@ async def test_a_given_trajectory_changes_the_goals_within_15_ms_of_its_answer(
     assert len(stage.arm.continued) == 2 + len(checks_s)
 
 
+class Checked(Given):
+    """One whose checks take some times [s]."""
+
+    def __init__(self, stage: Stage, *checks_s: float) -> None:
+        super().__init__()
+        self._stage, self._checks_s = stage, checks_s
+
+    def __call__(self, positions_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
+        self._stage.recheck_s = self._checks_s[len(self.begins_s)]
+        return super().__call__(positions_rad, at_s, point)
+
+
+async def test_a_given_trajectory_whose_check_was_late_takes_over_just_behind_the_tick_that_it_missed(
+    stage: Stage,
+) -> None:
+    await under_way(stage)
+    for trajectory in (*(Checked(stage, 0.004) for _ in range(5)), Checked(stage, 0.008, 0.004)):
+        tick_s, outgoing, stage.news = stage.clock() - 0.003, cast("Any", stage.executor._outgoing), []
+        outgoing.path_time = PathTime(tick_s, 0.2, 1.0, at_tick=True)
+        await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM)))
+        await until(lambda: any(each.state is GoalState.EXECUTING for each in stage.news))
+        stage.arm.show(0.2)
+        stage.goal.cancel("preempted by a test", replaced=True)
+        await stage.answer()
+    assert [each - tick_s for each in trajectory.begins_s] == pytest.approx([TICK_LATE_S, PERIOD_S + TICK_LATE_S])
+    assert stage.arm.stops == []
+
+
 async def test_listeners_hear_of_a_given_trajectory_when_the_arm_has_it(stage: Stage) -> None:
     await under_way(stage)
     heard: list[int] = []
@@ -563,8 +628,8 @@ async def test_listeners_hear_of_a_given_trajectory_when_the_arm_has_it(stage: S
     await running
 
 
-@pytest.mark.parametrize("refusals", [1, 2, 3])
-async def test_a_given_trajectory_that_the_arm_got_too_late_is_sent_again_twice(stage: Stage, refusals: int) -> None:
+@pytest.mark.parametrize("refusals", [1, 3, 4])
+async def test_a_given_trajectory_that_came_too_late_is_sent_again_three_times(stage: Stage, refusals: int) -> None:
     stage.recheck_s = 0.008
     await under_way(stage)
     trajectory = Given()
@@ -576,7 +641,7 @@ async def test_a_given_trajectory_that_the_arm_got_too_late_is_sent_again_twice(
     await stage.begin(ExternalTrajectory(late, frozenset(ARM)))
     await until(lambda: len(stage.arm.played) == 2 + refusals)
     await stage.arrive()
-    assert (stage.arm.stops == []) is (refusals <= 2)
+    assert (stage.arm.stops == []) is (refusals <= 3)
     assert len(trajectory.begins_s) == refusals + 1
 
 

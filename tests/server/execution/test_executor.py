@@ -477,7 +477,7 @@ async def test_a_motion_is_left_to_no_other_before_the_arm_shows_that_it_has_beg
 
 async def test_who_ends_the_task_of_a_cancelled_goal_ends_it(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
-    waiting = asyncio.create_task(stage.goal.unless_cancelled(asyncio.sleep(60.0)))
+    waiting = asyncio.create_task(stage.goal.unless_cancelled(asyncio.Event().wait()))
     await settle()
     stage.goal.cancel("a test")
     waiting.cancel()
@@ -489,7 +489,7 @@ async def test_a_cancelled_goal_ends_its_work_and_not_its_task(stage: Stage) -> 
     await stage.begin(to(shoulder_pan=0.4))
 
     async def wait() -> tuple[object, int]:
-        found = await stage.goal.unless_cancelled(asyncio.sleep(60.0))
+        found = await stage.goal.unless_cancelled(asyncio.Event().wait())
         await asyncio.sleep(0.0)
         return found, cast("asyncio.Task[Any]", asyncio.current_task()).cancelling()
 

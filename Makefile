@@ -103,11 +103,11 @@ test-pythons:
 test-processes: install-dev
 	$(PYTEST) tests/processes -n 4 --dist loadfile $(ARGS)
 
-# The page from its lock: types and build, then its logic, then in the browser. Mostly a test waits for the arm, so two
-# browsers share two cores. The pictures of the docs are made by make pictures.
+# The page from its lock: types and build, then its logic, then in the browser. Mostly a test waits for the arm, so three
+# browsers share two cores, of which they use 85 %. The pictures of the docs are made by make pictures.
 test-page: install-dev page
 	cd $(PAGE) && npm test
-	$(PYTEST) tests/page --ignore tests/page/test_pictures.py -n 2 --dist loadfile $(ARGS)
+	$(PYTEST) tests/page --ignore tests/page/test_pictures.py -n 3 --dist loadfile $(ARGS)
 
 # The pictures of README.md, docs/page.md and docs/simulation.md, and the digest of the page that they show.
 pictures: install-dev page
@@ -116,7 +116,7 @@ pictures: install-dev page
 
 # The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
 test-clients: install-dev page docs client-environments
-	$(PYTEST) tests/clients tests/examples -n 2 --dist loadfile $(ARGS)
+	$(PYTEST) tests/clients tests/examples -n 3 --dist loadfile $(ARGS)
 
 client-environments: build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
 

@@ -264,7 +264,7 @@ class CollisionModel:
             known = deepest.get(pair.links)
             if known is not None and known.depth_m >= pair.depth_m:
                 continue
-            if (refined is None or pair.links in refined) and self._apart(index, 0.0):
+            if (refined is None or pair.links in refined) and self._apart(index):
                 continue
             deepest[pair.links] = pair
         return sorted(deepest.values(), key=lambda pair: -pair.depth_m)
@@ -273,20 +273,20 @@ class CollisionModel:
         """Return the depth of overlap of pairs of names, by their parts where these are known [m]."""
         deepest_m: dict[frozenset[str], float] = {}
         for pair in self._touching(q):
-            if not self._apart(pair, 0.0):
+            if not self._apart(pair):
                 names = self._names[pair]
                 deepest_m[names] = max(deepest_m.get(names, 0.0), self._overlap_m(pair))
         return deepest_m
 
     def collides(self, q: Vector) -> bool:
         """Return true if anything overlaps by its parts, where these are known."""
-        return any(not self._apart(pair, 0.0) for pair in self._touching(q))
+        return any(not self._apart(pair) for pair in self._touching(q))
 
     def hull_only_pairs(self, q: Vector) -> set[frozenset[str]]:
         """Return the pairs of names that overlap in their hulls but not in their parts: to be checked ``refined``."""
         if not self._parts.available:
             return set()
-        return {self._names[pair] for pair in self._touching(q) if self._apart(pair, 0.0)}
+        return {self._names[pair] for pair in self._touching(q) if self._apart(pair)}
 
     def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:
         """Return the pairs nearer than a distance beyond their clearance [m], with gradients, for ``moving`` joints."""
@@ -373,7 +373,7 @@ class CollisionModel:
             by_parts = self._has_convex_parts(pair)
             if by_parts and not self._parts_of_pair(pair).deeper_than(depth_m - float(self._apart_m[pair])):
                 return True
-        return names in refined and self._apart(pair, 0.0)
+        return names in refined and self._apart(pair)
 
     def _overlap_m(self, pair: int) -> float:
         """Return an upper bound of a pair's overlap, negative for hulls beyond their required clearance [m]."""
@@ -383,12 +383,12 @@ class CollisionModel:
         # The overlap is within both.
         return min(by_hulls_m, float(self._apart_m[pair]) - self._parts_of_pair(pair).nearest().distance_m)
 
-    def _apart(self, pair: int, margin_m: float) -> bool:
-        """Return true if parts of a pair are known and further apart than a margin [m], none inside the other body."""
+    def _apart(self, pair: int) -> bool:
+        """Return true if parts of a pair are known and as far apart as they must be, none inside the other body."""
         if not self._has_parts(pair):
             return False
         parts = self._parts_of_pair(pair)
-        if parts.nearer_than(margin_m + float(self._apart_m[pair])):
+        if parts.nearer_than(float(self._apart_m[pair])):
             return False
         return not self._enclose(pair, parts)
 

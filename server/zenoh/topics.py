@@ -319,8 +319,8 @@ class IncomingTopics:
     def _left_out_on_error(self, name: str) -> Iterator[None]:
         try:
             yield
-        except (MessageError, GraphError) as error:
-            self._network.warn(f"a message on {name} is left out: {error}")
+        except (MessageError, GraphError, MemoryError) as error:
+            self._network.warn(f"a message on {name} is left out: {str(error) or 'out of memory'}")
 
     def _deliver(self, received: IncomingMessage, message: ReceivedMessage) -> None:
         network, topic = self._network, received.topic

@@ -12,8 +12,10 @@ import zenoh.ext
 from harness.waiting import TIMEOUT_S, until
 from protocol.publication import PublishedMessage
 from server.access.settings import AccessSettings
+from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.topics import Subscriber
 from server.zenoh import topics
+from server.zenoh.network import Network
 from tests.helpers.zenoh_network import RosMachine, Site, free_port, networked
 
 STRING = "std_msgs/msg/String"
@@ -296,6 +298,23 @@ async def test_a_small_message_after_a_large_one_waits_for_it() -> None:
             assert first < MAX_ROUNDS * len(texts)
         heard_numbers = numbers_of(heard)
     assert heard_numbers == sorted(heard_numbers)
+
+
+async def test_a_large_message_for_which_there_is_no_memory_is_left_out_and_the_next_ones_come(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def decode(_network: Network, _type_name: str, _octets: bytes) -> ReceivedMessage:
+        raise MemoryError
+
+    monkeypatch.setattr(Network, "decode", decode)
+    async with networked(subscribe=("/news",)) as (site, machine):
+        heard = site.hear("/news", STRING, site.part)
+        await listening(machine, "%news")
+        machine.publish("/news", STRING, data="x" * (BYTES_AT_ONCE + 1))
+        machine.publish("/news", STRING, data="small")
+        await until(lambda: heard)
+    assert "a message on /news is left out: out of memory" in caplog.text
+    assert [published.msg["data"] for published in heard] == ["small"]
 
 
 def numbers_of(heard: list[PublishedMessage], first: int = 0) -> list[int]:

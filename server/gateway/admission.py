@@ -7,6 +7,7 @@ in ``Origin``. A page of another host can have its own name point to the server'
 and is then of one origin with the server for its browser; the name still stands in the ``Host`` header of each request.
 """
 
+import contextlib
 import fcntl
 import logging
 import math
@@ -51,9 +52,10 @@ _IPV6_FIELDS = 6
 
 def host_addresses() -> Sequence[str]:
     """Return the addresses at which other machines may reach this one: IPv4 first, no loopback or link-local."""
-    # A kernel without IPv6 has no table.
-    text = _IPV6_TABLE.read_text() if _IPV6_TABLE.exists() else ""
-    lines = [line.split() for line in text.splitlines()]
+    lines: list[list[str]] = []
+    # A kernel without IPv6 has no table, and a container may not read it.
+    with contextlib.suppress(OSError):
+        lines = [line.split() for line in _IPV6_TABLE.read_text().splitlines()]
     found = [fields[0] for fields in lines if len(fields) == _IPV6_FIELDS and fields[3] == _GLOBAL_SCOPE]
     return [*_ipv4_addresses(), *(str(IPv6Address(bytes.fromhex(digits))) for digits in found)]
 

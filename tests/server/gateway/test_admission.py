@@ -315,6 +315,7 @@ def test_ipv6_addresses_are_those_of_global_scope(monkeypatch, tmp_path):
     assert host_addresses() == ["10.0.0.2", "fd00::2"]
 
 
-def test_a_kernel_without_ipv6_has_none(monkeypatch, tmp_path):
-    monkeypatch.setattr(admission, "_IPV6_TABLE", tmp_path / "missing")
+@pytest.mark.parametrize("table", ["missing", "."])
+def test_a_kernel_without_ipv6_or_with_a_table_that_cannot_be_read_has_none(monkeypatch, tmp_path, table):
+    monkeypatch.setattr(admission, "_IPV6_TABLE", tmp_path / table)
     assert not any(":" in address for address in host_addresses())

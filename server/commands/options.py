@@ -187,11 +187,12 @@ def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
         return ExitCode.USAGE
     except (RobotError, ServerError, PlannerError) as error:
         terminal.say(f"armbridge: {error}")
+    except BrokenPipeError:
+        raise
     except OSError as error:
-        # A disk that is full, a path that is too long, or one through a folder of somebody else.
-        if error.filename is None:
-            raise
-        terminal.say(f"armbridge: {str(error.filename)[:200]}: {error.strerror}")
+        # A path that is too long, or one through a folder of somebody else; a full disk names no file.
+        place = "" if error.filename is None else f"{str(error.filename)[:200]}: "
+        terminal.say(f"armbridge: {place}{error.strerror or error}")
     except KeyboardInterrupt:
         terminal.say("armbridge: stopped")
     return ExitCode.FAILED

@@ -53,7 +53,11 @@ _LATCHED = re.compile(r"\bdurability: *(transient_local|1)\b")
 
 def check_path(path: Path) -> None:
     """Refuse a path at which no recording can begin, by ConfigurationError; a file there is numbered after."""
-    if (path.exists() or path.is_symlink()) and not path.is_file():
+    try:
+        taken = (path.exists() or path.is_symlink()) and not path.is_file()
+    except OSError as error:
+        raise ConfigurationError(f"recording.file: {path} cannot be used: {error.strerror or error}") from error
+    if taken:
         raise ConfigurationError(f"recording.file: {path} must be a regular file or not exist")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise ConfigurationError(f"recording.file: {path} cannot be written: there is no writable folder {path.parent}")

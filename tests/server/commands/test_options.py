@@ -1,4 +1,5 @@
 import argparse
+import errno
 import re
 from collections.abc import Iterator
 
@@ -20,6 +21,8 @@ from server.errors import ConfigurationError
         (PortError("/dev/x", "does not exist"), "does not exist"),
         (PortBusy("/dev/x"), "armbridge serve"),
         (KeyboardInterrupt(), "stop"),
+        (OSError(errno.ENOSPC, "No space left on device"), "armbridge: No space left on device"),
+        (OSError(errno.ENAMETOOLONG, "File name too long", "/x"), "armbridge: /x: File name too long"),
     ],
 )
 def test_an_error_of_a_command_is_one_line_and_exit_1(error, words, capsys):
@@ -32,11 +35,12 @@ def test_an_error_of_a_command_is_one_line_and_exit_1(error, words, capsys):
     assert words in said
 
 
-def test_a_mistake_in_a_command_is_not_hidden():
+@pytest.mark.parametrize("error", [ZeroDivisionError, BrokenPipeError])
+def test_a_mistake_in_a_command_and_the_end_of_its_reader_are_not_hidden(error):
     def command(_terminal):
-        raise ZeroDivisionError
+        raise error
 
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(error):
         guarded(command)
 
 

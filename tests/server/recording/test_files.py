@@ -167,3 +167,8 @@ def test_a_path_of_a_file_a_link_to_one_or_of_nothing_is_taken_and_one_in_no_fol
         words = f"cannot be written: there is no writable folder .*/{folder}"
         with pytest.raises(ConfigurationError, match=rf"{folder}/run\.mcap {words}"):
             check_path(tmp_path / folder / "run.mcap")
+
+
+def test_a_path_that_cannot_be_looked_at_is_refused_by_its_setting(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"recording\.file: .* cannot be used: File name too long"):
+        check_path(tmp_path / ("x" * 300))

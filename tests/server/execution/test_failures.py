@@ -62,6 +62,8 @@ async def test_a_path_of_the_tip_gets_the_end_that_is_reached_and_says_if_its_ow
     assert 0.0 < details["free_fraction"] < 1.0
     assert details["end_by_other_way"] is False
     assert "what would work: the same path to (" in failure.message
+    cm = 100.0 * details["length_m"]
+    assert f" m, {details['free_fraction'] * cm:.1f} of {cm:.1f} cm" in failure.message
     assert "by a motion that does not follow it" not in failure.message
     end = Pose(tuple(details["free_m"]), tuple(details["free_orientation"]))
     part = await pool.ask(CartesianProblem("arm", HOME, TIP, (Line(end),)), WALL)

@@ -127,9 +127,9 @@ def test_a_motion_from_far_away_is_refused_with_joint_and_numbers(away_rad: floa
 
 
 def test_a_deviation_is_described_in_millimetres_and_degrees() -> None:
-    note = motions.deviation_note(Deviation(position_m=0.0042, orientation_rad=0.5))
-    assert "4.2 mm" in note
-    assert "28.6 degrees" in note
+    note = motions.deviation_note(Deviation(position_m=0.6, orientation_rad=0.5))
+    assert note == "the position is 600.0 mm off and the orientation is 28.6 degrees off, the nearest there is"
+    assert motions.deviation_note(Deviation(position_m=0.001, orientation_rad=0.01)) == ""
 
 
 @pytest.mark.parametrize(("arrives_s", "leaves_s"), [(5.0295, 5.023), (5.0145, 5.013), (5.0104, 5.0104)])

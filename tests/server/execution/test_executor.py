@@ -480,15 +480,15 @@ async def test_a_motion_is_left_to_no_other_before_the_arm_shows_that_it_has_beg
 
 
 async def test_a_motion_that_the_arm_does_not_show_is_left_by_the_time_since_it_was_sent(stage: Stage) -> None:
-    await under_way(stage)
-    await stage.begin(to(shoulder_pan=-0.2))
-    stage.arm.state = replace(stage.arm.state, mode=Mode.HOLDING)
-    stage.pass_time(STATE_AGE_S)
-    stage.goal.cancel("preempted by a test", replaced=True)
-    await stage.answer()
-    await stage.begin(to(shoulder_pan=0.1))
-    # The first was half done, so that its lead had begun 0.1 s before.
-    assert stage.arm.continued == pytest.approx([0.5 - STATE_AGE_S, STATE_AGE_S])
+    await stage.begin(to(shoulder_pan=0.4))
+    for position_rad in (-0.2, 0.1):
+        stage.arm.state = replace(stage.arm.state, mode=Mode.HOLDING)
+        stage.pass_time(0.2)
+        stage.goal.cancel("preempted by a test", replaced=True)
+        await stage.answer()
+        await stage.begin(to(shoulder_pan=position_rad))
+    # Each lead begins 0.1 s before; the second motion is as long under way as its own lead and the pause together.
+    assert stage.arm.continued == pytest.approx([0.2 - STATE_AGE_S, STATE_AGE_S + 0.2 - STATE_AGE_S])
 
 
 @pytest.mark.parametrize("task_ends", [False, True])

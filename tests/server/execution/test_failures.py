@@ -91,13 +91,16 @@ async def test_a_goal_to_which_no_motion_was_found_gets_the_nearest_that_one_rea
     assert isinstance(await DirectPool().ask(nearest, WALL), Plan)
 
 
-async def test_a_goal_that_is_not_beyond_limits_is_not_asked_about_for_its_constraints() -> None:
+@pytest.mark.parametrize(("position_rad", "asked"), [(-1.0, False), (1.0, False), (-1.001, True), (1.001, True)])
+async def test_a_goal_is_asked_about_where_it_is_beyond_limits_and_not_for_its_constraints(
+    position_rad: float, asked: bool
+) -> None:
     details = {"joint": "shoulder_pan", "lower_rad": -1.0, "upper_rad": 1.0}
     failure = PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "the range of the constraint", details)
     pool = DirectPool()
-    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": 0.5}))
-    assert await with_nearest_goal(failure, problem, WALL, pool) is failure  # type: ignore[arg-type]
-    assert pool.requests == []
+    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": position_rad}))
+    answer = await with_nearest_goal(failure, problem, Scene(), pool)  # type: ignore[arg-type]
+    assert (len(pool.requests), answer is failure) == (asked, not asked)
 
 
 async def test_a_failure_does_not_wait_for_planners_that_are_busy(monkeypatch: pytest.MonkeyPatch) -> None:

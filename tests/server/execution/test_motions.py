@@ -108,6 +108,7 @@ def test_the_lead_begins_before_the_state_of_a_faster_clock_and_ends_with_the_mo
 
 
 @given(st.lists(NEAR, min_size=len(JOINTS), max_size=len(JOINTS)))
+@example([motions.START_TOLERANCE_RAD] * len(JOINTS))
 def test_a_motion_from_nearby_is_led_in_within_the_limits(held: list[float]) -> None:
     whole = motions.with_lead_in(GIVEN, dict(zip(JOINTS, held, strict=True)), ROBOT)
     assert not refusal(whole, JOINTS, BOUNDS, np.array(held))

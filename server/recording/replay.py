@@ -40,6 +40,8 @@ log = logging.getLogger("armbridge.recording")
 # rosbag2's chunks have a megabyte; a larger record than this is damage, or an image that could not be replayed.
 MAX_RECORD_BYTES = 268_435_456
 
+MAGIC = b"\x89MCAP0\r\n"  # first bytes of a file (MCAP specification, "Magic")
+
 # Messages that a thread reads for the event loop at once.
 MESSAGES_AT_A_TIME = 500
 
@@ -121,15 +123,16 @@ class RecordingFile:
     def _records(self) -> Iterator[tuple[RecordedTopic, Message]]:
         topics: dict[int, RecordedTopic] = {}
         with self._open() as stream:
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise RecordingError(self._path, "is not an MCAP file")
+            stream.seek(0)
             reader = NonSeekingReader(stream, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
             try:
                 for schema, channel, message in reader.iter_messages(log_time_order=False):
                     if channel.id not in topics:
                         topics[channel.id] = _recorded_topic(channel, schema)
                     yield topics[channel.id], message
-            except _DAMAGE as error:
-                if not topics:
-                    raise RecordingError(self._path, "is not an MCAP file, or has no readable message") from error
+            except _DAMAGE:
                 self.damaged = True
 
     def _open(self) -> BinaryIO:

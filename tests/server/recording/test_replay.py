@@ -22,7 +22,7 @@ from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from server.interfaces import load_registry
 from server.recording.files import RecordedMessage
-from server.recording.replay import RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, serve
+from server.recording.replay import MAGIC, RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, serve
 from tests.conformance.cases import INTERFACES
 from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
@@ -89,7 +89,7 @@ def write_json(path: Path) -> None:
     [
         (lambda path: path.write_bytes(b"a text that is longer than eight characters"), "is not an MCAP file"),
         (Path.touch, "is not an MCAP file"),
-        (lambda path: path.write_bytes(b"\x89MCAP0\r\n"), "is not an MCAP file"),
+        (lambda path: path.write_bytes(MAGIC), "has no messages of ROS 2"),
         (lambda _path: None, "cannot be read: No such file"),
         (lambda path: record(path, []), "has no messages of ROS 2"),
         (write_json, "has no messages of ROS 2: /t is encoded as 'json', not 'cdr'"),

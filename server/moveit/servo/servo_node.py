@@ -16,7 +16,7 @@ from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arrival import arrival_epoch, is_stopped
-from server.errors import RefusedError, UnsuccessfulError, invalid
+from server.errors import RefusedError, ServiceError, UnsuccessfulError, invalid
 from server.execution.monitors import check_ready
 from server.execution.motions import Joints
 from server.execution.queue import GoalQueue
@@ -314,16 +314,16 @@ class ServoNode:
             gate.select(CommandType(wanted))
             return {"success": True}
 
-        def pause(*, paused: bool) -> dict[str, Any]:
+        def pause(*, paused: bool) -> str:
             if not paused and is_stopped(self._last_stop):
-                return {"success": False, "message": STOPPED_SINCE}
+                raise ServiceError(STOPPED_SINCE)
             gate.paused = paused
             gate.reset()
             if paused:
                 session.release()
-            return {"success": True, "message": "servo is paused" if paused else "servo takes commands"}
+            return "servo is paused" if paused else "servo takes commands"
 
-        def stop(_request: Message) -> dict[str, Any]:
+        def stop(_request: Message) -> str:
             self._last_stop = STOP_EPOCHS.begin()
             return pause(paused=True)
 

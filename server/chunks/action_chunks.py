@@ -35,6 +35,7 @@ from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
 from server.graph.permissions import GOAL, STOPPING, WORKING, Node
 from server.graph.services import Call
+from server.graph.services import answer as answer_call
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.gripper import Gripper
@@ -374,7 +375,7 @@ class ActionChunks:
         self._leave_control(call.caller)
         self._resumed_s = time.time()
         self._show(PolicyPhase.IDLE, "the next chunk is followed")
-        call.succeed(self._message)
+        answer_call(call, lambda _request: self._message)
 
     def _stop(self, _request: Message) -> str:
         self._stopped, self._heard_s = STOP_EPOCHS.begin(), -math.inf

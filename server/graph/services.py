@@ -57,12 +57,10 @@ class Call(PendingRequest[Response]):
         self.caller_left = False
 
     def succeed(self, values: object, reason: str = "") -> None:
-        """Answer with a response message as :data:`Answered`, completed unless it is a `CompleteResponse`.
+        """Answer with a response message; what it leaves out gets its default, unless it is a `CompleteResponse`.
 
         Raises MessageError for values that do not fit: the call has failed, and its caller knows.
         """
-        if isinstance(values, str):
-            values = {"success": True, "message": values}
         self._end(Response(ok=True, values=self._completed("Response", values), reason=reason))
 
     def fail(self, values: object) -> None:
@@ -88,12 +86,16 @@ def answer(call: Call, function: ServiceFunction) -> None:
             # Keeps the task alive, which the event loop does not, and ends it when nobody waits any more.
             call.when_ended(lambda _response: task.cancel())
         else:
-            call.succeed(values)
+            call.succeed(_response(values))
 
 
 async def _answer_later(call: Call, values: Awaitable[Answered]) -> None:
     with failure_told(call):
-        call.succeed(await values)
+        call.succeed(_response(await values))
+
+
+def _response(values: Answered) -> object:
+    return {"success": True, "message": values} if isinstance(values, str) else values
 
 
 @contextlib.contextmanager

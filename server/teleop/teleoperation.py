@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
+from robot.logs import LogLimiter
 from robot.messages import ArmState
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import is_stopped
@@ -74,7 +75,7 @@ class Leader:
         self.joint_names: tuple[str, ...] = ()
         self._clock = clock
         self._publisher: object = None
-        self._logged_at_s = -math.inf
+        self._log = LogLimiter(1, 1.0 / LOGGED_AGAIN_S)
 
     def take_state(self, state: ArmState) -> None:
         # What an arm with a fault reads may be old.
@@ -102,10 +103,7 @@ class Leader:
 
     def complain(self, text: str) -> None:
         """Log a fault of the topic, once in `LOGGED_AGAIN_S`."""
-        now_s = self._clock()
-        if now_s - self._logged_at_s > LOGGED_AGAIN_S:
-            self._logged_at_s = now_s
-            log.warning("%s: %s", self.name, text)
+        self._log.write(log, logging.WARNING, f"{self.name}: {text}", self.name, self._clock())
 
     def _take(self, sample: LeaderSample) -> None:
         self.samples.add(sample, self._clock())

@@ -136,6 +136,7 @@ async def test_a_plan_only_goal_is_shown_and_does_not_disturb_the_motion(desk: A
     shown = desk.listen("/display_planned_path", "moveit_msgs/DisplayTrajectory")
     await desk.send("/move_group", request=to(0.3))
     await desk.send("/move_group", request=to(0.5), planning_options={"plan_only": True})
+    await until(lambda: shown and desk.results)
     assert codes(desk) == [1]
     assert len(desk.asked) == 1
     assert [message["state"] for message in desk.feedback] == ["PLANNING", "IDLE"]

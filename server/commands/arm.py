@@ -44,6 +44,7 @@ from server.commands.options import (
     open_bus,
     read_hardware,
     read_token,
+    signals_wait,
 )
 from server.commands.terminal import ExitCode, Terminal, table
 from server.errors import ConfigurationError
@@ -213,7 +214,9 @@ def relax_arm(
     if family is not None and family.watchdog is not None:
         # Without its program a servo has stopped, and takes no limit until its watchdog is disarmed.
         write_limits(bus, {servo_id: Limit(family.watchdog.register, 0) for servo_id in holding})
-    driven = run_to_end(relax(bus, [servo.servo_id for servo in servos], holding, full))
+    # Broken off halfway, servos would hold with the torque that is left.
+    with signals_wait():
+        driven = run_to_end(relax(bus, [servo.servo_id for servo in servos], holding, full))
     if driven:
         listed = ", ".join(f"{servo.joint} (id {servo.servo_id})" for servo in servos if servo.servo_id in driven)
         terminal.say(f"{listed} may still be driven: torque off could not be verified. Cut the servos' supply.")

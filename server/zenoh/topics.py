@@ -12,7 +12,7 @@ from protocol.codecs import cdr
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.stop_epochs import STOP_EPOCHS
-from server.access.authorization import Authorizer
+from server.access.authorization import Authorizer, rule_of_topic
 from server.arrival import arrived_in
 from server.errors import GraphError
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
@@ -168,6 +168,9 @@ class IncomingTopic:
         self.decoding = False
         self._network = network
         self._received = received
+        rule = rule_of_topic(name, network.graph)
+        # A flood of goals must neither delay nor drop a stop.
+        self._ahead_as = name if rule.at_once and rule.at_once_data is None else ""
         self._key = source.endpoint.key(network.domain_id)
         self._token = network.tokens.entity(EntityKind.SUBSCRIPTION, source.endpoint, latched=source.latched)
         self._show_publisher()
@@ -213,7 +216,8 @@ class IncomingTopic:
             self._network.warn(f"a message on {self.source.endpoint.name} is left out, it has {reason}")
             return
         octets = bytes(sample.payload)
-        self._received.put(IncomingMessage(self, octets, STOP_EPOCHS.present), len(octets))
+        message = IncomingMessage(self, octets, STOP_EPOCHS.present)
+        self._received.put(message, len(octets), ahead_as=self._ahead_as)
 
 
 class IncomingMessage(NamedTuple):

@@ -5,7 +5,7 @@ All problems of all files are reported at once.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -20,7 +20,6 @@ from protocol.registry import (
     Table,
     read_ros1,
     read_ros2,
-    same_definition,
     with_action_messages,
 )
 
@@ -45,16 +44,14 @@ class UserInterfaces:
     """Types of the user's packages.
 
     Attributes:
-        kept: names of types that differ from the packaged ones, which stay, because the program itself uses them.
-        replaced: names of types that take the place of packaged ones.
+        known: names of types that are packaged, which stay as they are: the program itself uses most of them.
         unread: interface files in folders of packages that are not read.
     """
 
     ros2: Table
     ros1: Table
     packages: tuple[str, ...] = ()
-    kept: tuple[str, ...] = ()
-    replaced: tuple[str, ...] = ()
+    known: tuple[str, ...] = ()
     unread: tuple[Path, ...] = ()
 
     def registry(self) -> Registry:
@@ -70,11 +67,8 @@ class _Package:
     texts: list[tuple[Kind, Path, str]] = field(default_factory=list)
 
 
-def read_packages(folders: Sequence[Path], own_packages: Collection[str] = ()) -> UserInterfaces:
-    """Read the interface files of packages; the packaged types of ``own_packages`` stay, because the program uses them.
-
-    Raises InterfaceFilesError with all problems.
-    """
+def read_packages(folders: Sequence[Path]) -> UserInterfaces:
+    """Read the interface files of packages, or raise InterfaceFilesError with all problems."""
     reader = _PackageReader()
     packages = [package for folder in folders for package in reader.read_folder(folder)]
     files: dict[Generation, list[InterfaceFile]] = {"ros1": [], "ros2": []}
@@ -87,7 +81,7 @@ def read_packages(folders: Sequence[Path], own_packages: Collection[str] = ()) -
     if problems:
         raise InterfaceFilesError(problems)
     tables = {generation: _table(each, problems) for generation, each in files.items()}
-    merged = _merged(tables, own_packages)
+    merged = _merged(tables)
     registry = merged.registry()
     for generation, chosen in (("ros2", registry), ("ros1", registry.ros1)):
         problems += _unknown_types(files[generation], chosen)
@@ -217,22 +211,16 @@ def _table(files: Iterable[InterfaceFile], problems: list[Flaw]) -> dict[str, De
     return {name: file.definition for name, file in first.items()}
 
 
-def _merged(tables: Mapping[Generation, dict[str, Definition]], own_packages: Collection[str]) -> UserInterfaces:
-    """Return the types without those that are packaged alike, and without those that stay as they are packaged."""
+def _merged(tables: Mapping[Generation, dict[str, Definition]]) -> UserInterfaces:
+    """Return the types without those that are packaged."""
     packages = tuple(sorted({name.split("/")[0] for table in tables.values() for name in table}))
-    own = {"ros2": read_ros2(), "ros1": read_ros1()}
-    user = {"ros2": tables["ros2"], "ros1": dict(with_action_messages(tables["ros1"]))}
-    kept, replaced = set(), set()
-    for generation, table in user.items():
-        for name in [name for name in table if name in own[generation]]:
-            if same_definition(own[generation][name], table[name]):
-                del table[name]
-            elif name.split("/")[0] in own_packages:
-                del table[name]
-                kept.add(name)
-            else:
-                replaced.add(name)
-    return UserInterfaces(user["ros2"], user["ros1"], packages, tuple(sorted(kept)), tuple(sorted(replaced)))
+    user, packaged = (tables["ros2"], with_action_messages(tables["ros1"])), (read_ros2(), read_ros1())
+    known = {name for table, own in zip(user, packaged, strict=True) for name in table if name in own}
+    ros2, ros1 = (
+        {name: definition for name, definition in table.items() if name not in own}
+        for table, own in zip(user, packaged, strict=True)
+    )
+    return UserInterfaces(ros2, ros1, packages, tuple(sorted(known)))
 
 
 def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterator[Flaw]:

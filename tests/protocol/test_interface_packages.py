@@ -10,7 +10,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from protocol.codecs import cdr
 from protocol.errors import InterfaceFilesError, MessageError
-from protocol.interface_packages import UserInterfaces, read_packages
+from protocol.interface_packages import read_packages
 from protocol.messages import Stamp, complete
 from protocol.strict_messages import publication_reader
 from protocol.type_descriptions import full_text, message_hash, service_hash
@@ -175,26 +175,12 @@ def test_two_files_that_define_a_type_alike_are_one_and_otherwise_are_refused(tm
 POINT = "float64 x\nfloat64 y\nfloat64 z"
 
 
-def test_a_packaged_type_may_be_defined_alike_and_one_that_the_program_uses_stays_as_it_is(tmp_path: Path) -> None:
-    folder = package(tmp_path / "geometry_msgs", ("msg/Point.msg", f"# where\n{POINT}"))
-    assert read_packages([folder], {"geometry_msgs"}) == UserInterfaces({}, {}, ("geometry_msgs",))
-    package(folder, ("msg/Point.msg", f"{POINT}\nint32 w"), ("msg/New.msg", "Point p"))
-    interfaces = read_packages([folder], {"geometry_msgs"})
-    assert interfaces.kept == ("geometry_msgs/msg/Point",)
+def test_a_packaged_type_stays_as_it_is(tmp_path: Path) -> None:
+    folder = package(tmp_path / "geometry_msgs", ("msg/Point.msg", f"{POINT}\nint32 w"), ("msg/New.msg", "Point p"))
+    interfaces = read_packages([folder])
+    assert (list(interfaces.ros2), interfaces.known) == (["geometry_msgs/msg/New"], ("geometry_msgs/msg/Point",))
     assert len(interfaces.registry().message("geometry_msgs/Point").fields) == 3
     assert interfaces.registry().knows("geometry_msgs/New")
-
-
-def test_any_other_packaged_type_is_replaced_by_the_users_and_checked_with_what_contains_it(tmp_path: Path) -> None:
-    folder = package(tmp_path / "turtlesim", ("msg/Color.msg", "uint8 grey"))
-    interfaces = read_packages([folder], {"geometry_msgs"})
-    assert interfaces.replaced == ("turtlesim/msg/Color",)
-    assert [field.name for field in interfaces.registry().message("turtlesim/Color").fields] == ["grey"]
-    package(folder, ("msg/Color.msg", "foxglove_msgs/Grid grid"))
-    told = problems(
-        folder, package(tmp_path / "foxglove_msgs", ("msg/PackedElementField.msg", "turtlesim/Color color"))
-    )
-    assert all("a type may not contain itself" in each for each in told)
 
 
 USER = read_packages([INTERFACES]).registry()

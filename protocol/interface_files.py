@@ -1,6 +1,6 @@
 """Reader of one interface file of ROS: the text of a ``.msg``, ``.srv`` or ``.action`` becomes a definition.
 
-The grammar is that of both generations: bounds, defaults and wide text (rosidl_adapter), ``time`` and ``duration``
+The grammar has what both generations write: bounds, defaults and wide text (rosidl_adapter), ``time`` and ``duration``
 (genmsg). ROS 1 alone knows ``Header`` without a package, and takes a text constant as it stands. Comments are passed
 over.
 

@@ -29,10 +29,6 @@ class PlanningSettings(SettingsSection):
     """goals planned at the same time; one more process helps with hard motions."""
     memory_limit_mb: int = Field(default=1024, ge=256, le=65536)
     """memory of each planner process, which is restarted when it needs more [MB]."""
-    save_failed_goals: Path | None = None
-    """directory for goals that could not be planned, as files for ``armbridge plan``."""
-    keep_failed_goals: int = Field(default=100, ge=1, le=100_000)
-    """newest files of failed goals to keep."""
 
     @property
     def memory_limit_bytes(self) -> int:

@@ -51,21 +51,6 @@ def with_action_messages(table: Table) -> Table:
     return {**messages, **table}
 
 
-def same_definition(one: Definition, other: Definition) -> bool:
-    """Return True for definitions that declare the same, however their values are spelled."""
-    return bool(_normalized(one) == _normalized(other))
-
-
-def _normalized(definition: Definition) -> Any:
-    if definition["kind"] != "msg":
-        return {
-            key: part if key == "kind" else _normalized({"kind": "msg", **part}) for key, part in definition.items()
-        }
-    rows = definition["fields"]
-    fields = [(name, declared, *(_default(declared, text) for text in rest)) for name, declared, *rest in rows]
-    return fields, [(base, name, _value(base, text)) for base, name, text in definition["consts"]]
-
-
 def _read(file_name: str) -> Table:
     # Read through importlib, for the package may be installed as a zip.
     text = resources.files("protocol").joinpath("interfaces", file_name).read_text("utf-8")

@@ -42,6 +42,9 @@ STATE_TOPIC, COMMANDED_TOPICS = "/joint_states", "_controller/controller_state"
 
 NOT_RECORDED = "this server records nothing (armbridge serve --record FILE.mcap)"
 
+# Cameras that are watched: an arm has a few, and clients can make up any number of topics.
+MAX_WATCHED = 100
+
 # Period in which an episode in progress is looked at [s].
 LOOK_PERIOD_S = 0.5
 
@@ -156,9 +159,11 @@ class EpisodeServices:
                 self._graph.unsubscribe(self._observer, topic)
             return
         for topic, type_name in self._graph.topic_names.types().items():
-            if type_name in IMAGES or topic == STATE_TOPIC:
+            publishers = self._graph.publishers(topic)
+            if len(self._watched) < MAX_WATCHED and publishers and (type_name in IMAGES or topic == STATE_TOPIC):
                 self._watched.setdefault(topic, Timing(self._clock()))
-            if topic not in subscribed and (topic in self._watched or topic.endswith(COMMANDED_TOPICS)):
+            commanded = topic.endswith(COMMANDED_TOPICS) and any(not node.remote for node in publishers)
+            if topic not in subscribed and (topic in self._watched or commanded):
                 self._graph.subscribe(self._observer, topic, type_name, Subscriber(self._heard))
 
     def _heard(self, published: PublishedMessage) -> None:

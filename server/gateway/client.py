@@ -246,7 +246,7 @@ class Client:
             return
         identity = access.identify(operation)
         if isinstance(identity, str):
-            throttle.record_failure(connection.address, operation.token or operation.mac)
+            throttle.record_failure(connection.address, operation.token)
             self._disconnect(f"auth: {identity}")
             return
         access.one_time_tokens.release(self._shown)

@@ -24,7 +24,7 @@ from server.timers import CallLater
 log = logging.getLogger("armbridge.graph")
 
 
-# Fields of a response message, any of which may be left out; a sentence is the ``message`` of a success.
+# Fields of a response message; any of them may be left out. A sentence is the ``message`` of a success.
 Answered: TypeAlias = str | Mapping[str, Any] | CompleteResponse
 
 # Offered by a local part: request in, response out, both in ROS 2 spelling.

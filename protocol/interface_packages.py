@@ -55,7 +55,6 @@ class UserInterfaces:
     unread: tuple[Path, ...] = ()
 
     def registry(self) -> Registry:
-        """Return the packaged types and these."""
         return Registry({**read_ros2(), **self.ros2}, {**read_ros1(), **self.ros1})
 
 

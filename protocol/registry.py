@@ -36,7 +36,6 @@ ROS1_TIMES: Table = {
 
 
 def read_ros2() -> Table:
-    """Read the ROS 2 table."""
     return _read("ros2.json")
 
 
@@ -143,7 +142,6 @@ class Field:
 
     @property
     def primitive(self) -> bool:
-        """True when the base is a primitive type, not a message."""
         return self.base in PRIMITIVES
 
 
@@ -210,7 +208,6 @@ class Registry:
         return (name for name in self._table if name not in ROS1_TIMES)
 
     def knows(self, name: str, kind: Kind = "msg") -> bool:
-        """Return True for a known type of this name and kind."""
         definition = self._find(_canonical(name, kind))
         return definition is not None and definition["kind"] == kind
 

@@ -365,21 +365,21 @@ class ActionChunks:
         if self._phase is PolicyPhase.PAUSED or (self._phase is not PolicyPhase.TAKEN_OVER and recent):
             self._halt(PolicyPhase.TAKEN_OVER, f"{hand} has taken over")
 
-    def _pause(self, _request: Message) -> Message:
+    def _pause(self, _request: Message) -> str:
         if self._phase is not PolicyPhase.TAKEN_OVER:
             self._halt(PolicyPhase.PAUSED, "the policy is paused")
-        return {"success": True, "message": self._message}
+        return self._message
 
     def _resume(self, call: Call) -> None:
         self._leave_control(call.caller)
         self._resumed_s = self._clock()
         self._show(PolicyPhase.IDLE, "the next chunk is followed")
-        answer_call(call, lambda _request: {"success": True, "message": self._message})
+        answer_call(call, lambda _request: self._message)
 
-    def _stop(self, _request: Message) -> Message:
+    def _stop(self, _request: Message) -> str:
         self._stopped, self._heard_s = STOP_EPOCHS.begin(), -math.inf
         self._halt(PolicyPhase.IDLE, "the policy is stopped")
-        return {"success": True, "message": self._message}
+        return self._message
 
     def _halt(self, phase: PolicyPhase, message: str) -> None:
         """Brake on the path of the chunk that is followed, and hold; another client may take control."""

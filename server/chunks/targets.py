@@ -124,10 +124,7 @@ def follow(targets: Targets, start: tuple[Vector, Vector, Vector], at_s: float, 
     flat = [_followed(*(each.tolist() for each in column)) for column in columns]
     states = np.array(flat).reshape(len(names), brakes + 1, 3).transpose(1, 2, 0)
     tail = bridge(names, tuple(states[-1]), (targets.positions_rad[-1], np.zeros(len(names))), limits, 0.0)
-    time_s = np.concatenate((SAMPLE_S * np.arange(brakes), tail.time_s + SAMPLE_S * brakes))
-    head = states[:-1].transpose(1, 0, 2)
-    rest = tail.positions_rad, tail.velocities_rad_s, tail.accelerations_rad_s2
-    return Trajectory(names, time_s, *(np.vstack(both) for both in zip(head, rest, strict=True)))
+    return Trajectory(names, SAMPLE_S * np.arange(brakes + 1, dtype=np.float64), *states.transpose(1, 0, 2)).then(tail)
 
 
 def deviation_rad(targets: Targets, motion: Trajectory, at_s: float) -> Vector:

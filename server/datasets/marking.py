@@ -25,7 +25,6 @@ from server.datasets.episodes import (
 from server.diagnostic_values import LEVEL_OK, LEVEL_WARN, key_values
 from server.errors import ServiceError
 from server.graph.permissions import WORKING, Node
-from server.graph.services import answering
 from server.graph.topics import Graph, Subscriber
 
 log = logging.getLogger("armbridge.datasets")
@@ -110,9 +109,9 @@ class EpisodeServices:
         self._node.advertise(EPISODE_TOPIC, EPISODE_TYPE)
         self._node.advertise(STATE, STATE_TYPE, latch=True)
         self._node.subscribe(EPISODE_TOPIC, EPISODE_TYPE, self._take, rule=WORKING)
-        self._node.offer(START_SERVICE, START_TYPE, answering(self._start), rule=WORKING)
-        self._node.offer(STOP_SERVICE, "std_srvs/Trigger", answering(self._stop), rule=WORKING)
-        self._node.offer(DISCARD_SERVICE, "std_srvs/Trigger", answering(self._discard), rule=WORKING)
+        self._node.offer(START_SERVICE, START_TYPE, self._start, rule=WORKING)
+        self._node.offer(STOP_SERVICE, "std_srvs/Trigger", self._stop, rule=WORKING)
+        self._node.offer(DISCARD_SERVICE, "std_srvs/Trigger", self._discard, rule=WORKING)
         self._show()
 
     async def run(self) -> None:

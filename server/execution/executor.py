@@ -248,7 +248,7 @@ class GoalExecutor:
         plan = await goal.unless_cancelled(_in_time(ask, HORIZON_S - SENDING_S))
         if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > goal.deadline.limits.trajectory_s:
             return None
-        whole = replace(plan, trajectory=point.splice(plan.trajectory))
+        whole = replace(plan, trajectory=point.lead.then(plan.trajectory))
         start_rad = {**problem.start_rad, **point.start_rad}
         planned = Performed(start_rad, scene=scene).with_plan(problem, whole)
         # A scene that has changed since the lead was found free is checked on the way.
@@ -328,7 +328,7 @@ class GoalExecutor:
         point = self._splice_point(now_s, leaves_s - now_s)
         if point is None or arrives_s <= now_s:
             return None
-        whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
+        whole = point.lead.then(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
         goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         return whole, point, arrives_s, outgoing.path_time.passes_s(arrives_s)
 

@@ -179,7 +179,7 @@ def test_the_machine_is_told_by_versions_packages_and_ports(report: Report) -> N
     assert PROBLEMS not in told
     versions = json.loads(told["versions.json"])
     assert versions["armbridge"]
-    assert versions["kernel"]
+    assert versions["system"]
     assert "numpy==" in told["packages.txt"]
     assert isinstance(json.loads(told["ports.json"]), list)
 

@@ -94,8 +94,6 @@ class RosApi:
         self._graph = graph
         self._services = graph.services
         self._registry = graph.message_types.registry
-        # Foxglove asks for the texts of all topics every three seconds; there are no more types than the registry has.
-        self._texts: dict[tuple[str, Dialect], str] = {}
         self._details = functools.lru_cache(MAX_DETAILS)(self._make_details)
         handlers = self._of_topics() | self._of_services() | self._of_types() | self.parameters.handlers
         for name, handler in handlers.items():
@@ -151,17 +149,10 @@ class RosApi:
 
     def _topics_and_raw_types(self, dialect: Dialect) -> dict[str, Any]:
         types = [type_name for name, type_name in self._graph.topic_names.types().items() if not _is_hidden(name)]
-        texts = {type_name: self._full_text(type_name, dialect) for type_name in set(types)}
+        known = self._registry.knows
+        # A type that is relayed without being known has no text.
+        texts = {name: full_text(self._registry, name, dialect) if known(name) else "" for name in set(types)}
         return {**self._topics(dialect), "typedefs_full_text": _limited([texts[type_name] for type_name in types])}
-
-    def _full_text(self, type_name: str, dialect: Dialect) -> str:
-        if not self._registry.knows(type_name):
-            # A type that is relayed without being known.
-            return ""
-        text = self._texts.get((type_name, dialect))
-        if text is None:
-            text = self._texts[type_name, dialect] = full_text(self._registry, type_name, dialect)
-        return text
 
     def _service_node(self, request: Request) -> dict[str, Any]:
         provider = self._services.provider(request.name("service"))

@@ -97,8 +97,8 @@ class FaultFiles:
 
     def _keep(self, state: ArmState) -> None:
         """Keep the figures of a state; one without positions has none."""
-        arrays = [getattr(state, name) for name in _QUANTITIES]
-        if any(array is None for array in arrays):
+        arrays = [array for name in _QUANTITIES if (array := getattr(state, name)) is not None]
+        if len(arrays) < len(_QUANTITIES):
             return
         if state.joint_names != self._joint_names:
             self._joint_names = state.joint_names

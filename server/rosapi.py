@@ -144,14 +144,14 @@ class RosApi:
         return {"topics": shown, "types": [types[name] for name in shown]}
 
     def _topics_and_raw_types(self, request: Request) -> dict[str, Any]:
-        types = [type_name for name, type_name in self._graph.topic_names.types().items() if not _is_hidden(name)]
-        known = self._registry.knows
+        answer, known = self._topics(request.dialect), self._graph.topic_names.types()
+        types = [known[name] for name in answer["topics"]]
         # A type that is relayed without being known has no text.
-        texts = {name: full_text(self._registry, name, request.dialect) if known(name) else "" for name in set(types)}
-        return {
-            **self._topics(request.dialect),
-            "typedefs_full_text": _limited([texts[type_name] for type_name in types]),
+        texts = {
+            name: full_text(self._registry, name, request.dialect) if self._registry.knows(name) else ""
+            for name in set(types)
         }
+        return {**answer, "typedefs_full_text": _limited([texts[name] for name in types])}
 
     def _service_node(self, request: Request) -> dict[str, Any]:
         provider = self._services.provider(request.name("service"))

@@ -119,7 +119,7 @@ class Teaching(Feature):
         self._node = graph.node("teaching")
         self._recorder: TeachingRecorder | None = None
         self._state: ArmState | None = None
-        self._closing = False
+        self._closing, self._reading = False, asyncio.Lock()
         self._shown_at_s = 0.0
         self._told = f"nothing is recorded: {BEGIN} begins"
         # The recording that is being made a motion.
@@ -244,10 +244,12 @@ class Teaching(Feature):
         return {"names": await self._motions.names()}
 
     async def _get(self, request: Message) -> CompleteResponse:
-        motion = await self._motions.load(request["name"])
+        # One at a time: the event loop, and a stop, would wait for the interpreter's lock behind each thread.
+        async with self._reading:
+            motion = await self._motions.load(request["name"])
+            # As many points as a client may send take longer to complete than everybody may be kept waiting.
+            trajectory = await asyncio.to_thread(to_message, motion)
         message = f"{motion.duration_s:.2f} s, {len(motion.time_s)} points"
-        # As many points as a client may send take longer to complete than everybody may be kept waiting.
-        trajectory = await asyncio.to_thread(to_message, motion)
         return CompleteResponse({"success": True, "message": message, "trajectory": trajectory})
 
     async def _check(self, request: Message) -> dict[str, Any]:

@@ -112,6 +112,7 @@ class Teaching(Feature):
     """Records motions, one at a time, and keeps them by name."""
 
     name = "teaching"
+    deadline_s = CLOSE_TIMEOUT_S + 0.1
 
     def __init__(self, graph: Graph, planning: PlanningContext, motions: MotionFiles) -> None:
         self._planning, self._robot, self._motions = planning, planning.robot, motions

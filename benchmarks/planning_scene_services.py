@@ -22,7 +22,6 @@ from server.execution.monitors import CurrentState
 from server.graph.permissions import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
-from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.interface import APPLY, GET, SceneInterface
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 
@@ -55,7 +54,7 @@ async def _measure() -> None:
     robot, graph, client = built_in("so101").model, Graph(Registry.load()), Node("client", remote=True)
     arm = _StandingArm(tuple(joint.name for joint in robot.movable_joints))
     current = CurrentState(cast(Arm, arm), robot)
-    scene = SceneInterface(graph, SceneState(robot), AssumedStates(robot), current, MoveItParameters())
+    scene = SceneInterface(graph, SceneState(robot), AssumedStates(robot), current, 4.0)
 
     def call(service: str, request: bytes) -> bytes:
         answers: list[Response] = []

@@ -109,7 +109,6 @@ class EncodedMessage:
 
     @property
     def frames(self) -> tuple[Frame, ...]:
-        """The frames."""
         wire = (b"".join(self.wire),) if self.frame_count == 1 else self.wire
         return tuple(Frame(each[_HEADER_BYTES.get(each[1], 2) :], text=each[0] == _TEXT) for each in wire)
 

@@ -35,7 +35,6 @@ class Registrations(Generic[T]):
         return qualify(topic) in self._entries
 
     def entries(self, topic: str) -> Collection[T]:
-        """Return the operations of all ids on a topic."""
         return self._entries.get(qualify(topic), {}).values()
 
     def add(self, operation: T) -> bool:
@@ -101,7 +100,6 @@ class Subscription:
         return self.throttle_s > 0 and self.queue_length == 0
 
     def merge(self, asked: Collection[Subscribe]) -> None:
-        """Serve the requests of all ids."""
         self.throttle_s = min(each.throttle_rate for each in asked) / 1000
         self.queue_length = min(each.queue_length for each in asked)
         self.compression = min((each.encoding for each in asked), key=COMPRESSIONS.index)

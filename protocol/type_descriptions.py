@@ -179,7 +179,6 @@ _Row: TypeAlias = dict[str, Any]
 
 @functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def message_hash(registry: Registry, name: str) -> str:
-    """Return the hash of a message type, with its prefix."""
     canonical = registry.canonical(name)
     return _hash(canonical, _with_nested(registry, canonical))
 

@@ -284,10 +284,8 @@ class ActionChunks:
         node.advertise(ANSWER, ANSWER_TYPE)
         node.offer_action(NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
         node.subscribe(NAME, TYPE, self._take, limits=CHUNK_LIMITS, rule=GOAL)
-        # Time of the last chunk that was followed [s], and stop epoch of the last stop of the policy.
-        self._heard_s, self._stopped = -math.inf, 0
-        # Time of the last resumption [s since the epoch].
-        self._resumed_s = 0.0
+        # Times of the last chunk that was followed and of the last resumption [s]; epoch of the policy's last stop.
+        self._heard_s, self._resumed_s, self._stopped = -math.inf, -math.inf, 0
         self._phase, self._message = PolicyPhase.IDLE, ""
         node.advertise(STATE, STATE_TYPE, latch=True)
         self._show(PolicyPhase.IDLE, "no chunk is followed")
@@ -331,9 +329,10 @@ class ActionChunks:
         if self._arm.rate != 1.0:
             text = f"targets of a policy have real times: simulation.rate must be 1 for them, not {self._arm.rate:g}"
             raise refused(MoveItErrorCode.CONTROL_FAILED, text)
-        chunk = read_chunk(message, self._robot, self._joints, now_s, time.time())
+        wall_s = time.time()
+        chunk = read_chunk(message, self._robot, self._joints, now_s, wall_s)
         stamp_s = read_seconds(message["trajectory"]["header"]["stamp"], "trajectory.header.stamp")
-        if 0.0 < stamp_s < self._resumed_s:
+        if stamp_s and now_s - (wall_s - stamp_s) < self._resumed_s:
             text = "trajectory.header.stamp is from before the policy was resumed: send a chunk of a later observation"
             raise _invalid(text)
         if former is not None and not former.over and former.publisher is not publisher:
@@ -366,25 +365,28 @@ class ActionChunks:
         if self._phase is PolicyPhase.PAUSED or (self._phase is not PolicyPhase.TAKEN_OVER and recent):
             self._halt(PolicyPhase.TAKEN_OVER, f"{hand} has taken over")
 
-    def _pause(self, _request: Message) -> Message:
+    def _pause(self, _request: Message) -> str:
         if self._phase is not PolicyPhase.TAKEN_OVER:
             self._halt(PolicyPhase.PAUSED, "the policy is paused")
-        return {"success": True, "message": self._message}
+        return self._message
 
     def _resume(self, call: Call) -> None:
         self._leave_control(call.caller)
-        self._resumed_s = time.time()
+        self._resumed_s = self._clock()
         self._show(PolicyPhase.IDLE, "the next chunk is followed")
-        answer_call(call, lambda _request: {"success": True, "message": self._message})
+        answer_call(call, lambda _request: self._message)
 
-    def _stop(self, _request: Message) -> Message:
+    def _stop(self, _request: Message) -> str:
         self._stopped, self._heard_s = STOP_EPOCHS.begin(), -math.inf
         self._halt(PolicyPhase.IDLE, "the policy is stopped")
-        return {"success": True, "message": self._message}
+        return self._message
 
     def _halt(self, phase: PolicyPhase, message: str) -> None:
         """Brake on the path of the chunk that is followed, and hold; another client may take control."""
         self._show(phase, message)
+        if self._gripper is not None:
+            # Its fingers may be on their way when the arm has come to its last target.
+            self._gripper.end(message)
         if self._followed is not None:
             self._leave_control(self._followed.publisher)
             if not self._followed.over:

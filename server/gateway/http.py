@@ -81,8 +81,6 @@ POLICY = "; ".join(
 # As long as a number may be that is still compared with the limit.
 _LENGTH = re.compile(r"[0-9]{1,18}")
 
-_WEIGHT_OF_NOTHING = re.compile(r"q\s*=\s*0(\.0*)?")
-
 # A connection serves one request: websockets closes it after the answer.
 _HEADERS_OF_ALL = {
     "Connection": "close",
@@ -304,17 +302,9 @@ class PostedRequest:
 
 
 def names(headers: Headers, header: str, token: str) -> bool:
-    """Return True for a header of comma-separated words that has a word."""
-    return any(word.strip().lower() == token for line in headers.get_all(header) for word in line.split(","))
-
-
-def accepts_gzip(headers: Headers) -> bool:
-    for line in headers.get_all("Accept-Encoding"):
-        for item in line.lower().split(","):
-            coding, _, weight = item.partition(";")
-            if coding.strip() in ("gzip", "*"):
-                return not _WEIGHT_OF_NOTHING.fullmatch(weight.strip())
-    return False
+    """Return True for a header of comma-separated words that has a word, whatever its weight."""
+    words = (word.partition(";")[0] for line in headers.get_all(header) for word in line.split(","))
+    return any(word.strip().lower() == token for word in words)
 
 
 class HttpHandler:
@@ -410,7 +400,7 @@ class HttpHandler:
             return HttpResponse.of_text(HTTPStatus.NOT_FOUND, "this is no path to a file")
         if name in self._routes:
             return await self._routes[name](request)
-        gzipped = accepts_gzip(request.headers) and PurePath(name).suffix.lower() not in _COMPRESSED
+        gzipped = names(request.headers, "Accept-Encoding", "gzip") and PurePath(name).suffix.lower() not in _COMPRESSED
         area, _, inner = name.partition("/")
         try:
             if area == ROBOT:

@@ -139,7 +139,7 @@ class FaultFiles:
         head, samples = [*self._head(about, state)], self._trace.minute(state.clock_s)
 
         # In a thread, as it takes some milliseconds.
-        def content(_stem: str) -> bytes:
+        def content() -> bytes:
             # A number that is none, or infinite, is null.
             options = orjson.OPT_APPEND_NEWLINE | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
             return b"".join(orjson.dumps(line, option=options) for line in (*head, *map(_state_line, samples)))

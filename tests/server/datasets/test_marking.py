@@ -12,7 +12,15 @@ from server.datasets import samples as samples_module
 from server.datasets.episodes import EPISODE_TOPIC, EPISODE_TYPE, START, Episode, Mark, episodes_of, parse_mark
 from server.datasets.frames import LeftOutError, Tracks, frames_of, in_lerobot_units
 from server.datasets.lerobot import QUANTILES, ImageStatistics
-from server.datasets.marking import DISCARD_SERVICE, START_SERVICE, STATE, STATE_TYPE, STOP_SERVICE, EpisodeServices
+from server.datasets.marking import (
+    DISCARD_SERVICE,
+    MAX_WATCHED,
+    START_SERVICE,
+    STATE,
+    STATE_TYPE,
+    STOP_SERVICE,
+    EpisodeServices,
+)
 from server.datasets.samples import JointSample, read_samples, series, times_s
 from server.errors import RecordingError
 from server.graph.permissions import Node
@@ -83,6 +91,23 @@ async def test_a_silent_camera_is_reported_as_soon_as_its_episode_ends(caplog: p
         f"episode 3 has ended after 1.4 s. {left_out} 1.4 s",
     ]
     assert f"episode 2 would be left out of a dataset: {CAMERA} was silent for 0.9 s" in caplog.text
+
+
+async def test_topics_that_nobody_publishes_are_no_cameras_and_not_all_that_clients_make_up_are_watched() -> None:
+    marked, client, commanded = Marked(), Node("client", remote=True), "/made_up_controller/controller_state"
+    await marked.call(START_SERVICE, task="")
+
+    def watched() -> int:
+        marked.services.look()
+        return sum(each["key"].startswith("rate_hz.") for each in marked.states[-1]["values"])
+
+    marked.graph.subscribe(client, CAMERA, "sensor_msgs/Image", Subscriber(lambda _published: None))
+    assert watched() == 0
+    for number in range(2 * MAX_WATCHED):
+        marked.graph.advertise(client, f"/camera{number}", "sensor_msgs/Image")
+    marked.graph.advertise(client, commanded, "std_msgs/String")
+    assert watched() == MAX_WATCHED
+    assert marked.graph.subscribers(commanded) == []
 
 
 # Intervals between images [s], their delay behind their stamps [s], and the problem.

@@ -91,7 +91,7 @@ def is_spelled_as_ros1(text: str, *, has_header: bool) -> bool:
 
 
 def read_file(path: Path, text: str, package: str, kind: Kind, generation: Generation) -> InterfaceFile:
-    """Read an interface file; octets that are no UTF-8 come as lone surrogates."""
+    """Read an interface file."""
     read = InterfaceFile(f"{package}/{kind}/{path.stem}", path)
     if not NAME.fullmatch(path.stem):
         read.problems.append(Flaw(path, None, "", f"the file's name is the type's: wanted {_NAME_WORDS}"))
@@ -232,17 +232,10 @@ def _elements(text: str) -> Iterator[str]:
 
 def _value(declaration: _Declaration, text: str, generation: Generation) -> Scalar:
     base = declaration.base
-    if not text.isascii() and any(_is_stray_octet(character) for character in text):
-        raise ValueError("wanted text in UTF-8")
     try:
         return values.converter(base, declaration.max_length)(_parsed(base, text, generation))
     except MessageError as error:
         raise ValueError(f"wanted {error.wanted}, got {text or 'nothing'}") from None
-
-
-def _is_stray_octet(character: str) -> bool:
-    # As `surrogateescape` decodes them.
-    return "\udc80" <= character <= "\udcff"
 
 
 def _parsed(base: str, text: str, generation: Generation) -> object:

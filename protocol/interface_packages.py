@@ -165,7 +165,7 @@ class _PackageReader:
     def _text(self, path: Path) -> str | None:
         try:
             # Older packages have comments in other encodings, which are of no interest.
-            return path.read_text("utf-8", "surrogateescape")
+            return path.read_text("utf-8", "replace")
         except OSError as error:
             self._refuse(path, f"cannot be read: {error.strerror}")
             return None

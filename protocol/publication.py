@@ -144,9 +144,9 @@ class PublishedMessage:
         "_encoded",
         "_light",
         "_msg",
-        "_received",
         "_registry",
         "publisher",
+        "received",
         "sequence_number",
         "topic",
         "type_name",
@@ -158,7 +158,7 @@ class PublishedMessage:
         type_name: str,
         msg: Mapping[str, Any] | bytes,
         registry: Registry,
-        received: Stamp | float,
+        received: Stamp,
         publisher: object = None,
         cost_bytes: int | None = None,
         *,
@@ -171,7 +171,7 @@ class PublishedMessage:
         self._registry = registry
         self._cost_bytes = cost_bytes
         self._light = light
-        self._received = received
+        self.received = received
         # Subscribers spell a topic with or without its leading slash: two spellings of each encoding and dialect.
         self._by_key: dict[_Key, EncodedMessage] = {}
         # The message alone, the costly part, which frames of all spellings share.
@@ -190,13 +190,6 @@ class PublishedMessage:
             decoded: Any = json.decode(self._encoded["none", "ros2"])
             self._msg = decoded
         return self._msg
-
-    @property
-    def received(self) -> Stamp:
-        """When the message came."""
-        if not isinstance(self._received, Stamp):
-            self._received = Stamp.from_seconds(self._received)
-        return self._received
 
     @property
     def size_bytes(self) -> int:

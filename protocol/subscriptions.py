@@ -7,7 +7,7 @@ and of advertisements alike, count against one limit.
 """
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -26,10 +26,6 @@ class Registrations(Generic[T]):
         self._limit = limit
         self._count = 0
         self._entries: dict[str, dict[Mark, T]] = {}
-
-    def __iter__(self) -> Iterator[str]:
-        """Go over the topics, by fully qualified name; the table may change meanwhile."""
-        return iter(list(self._entries))
 
     def __contains__(self, topic: str) -> bool:
         return qualify(topic) in self._entries

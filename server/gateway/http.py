@@ -99,17 +99,6 @@ DOCS = "docs"
 
 HOW_TO_BUILD_PAGE = "the page is not built: install Node.js 20.19 or later with npm, and call make page"
 
-NOT_BUILT = f"""<!doctype html>
-<html lang="en">
-<head><meta charset="utf-8"><title>armbridge</title></head>
-<body>
-<h1>armbridge is running</h1>
-<p>Clients of rosbridge connect to this address.</p>
-<p>The page for people is not built. Here {HOW_TO_BUILD_PAGE}. Then load this address again.</p>
-</body>
-</html>
-"""
-
 UNKNOWN_TYPE = "application/octet-stream"
 
 _TEXTS = {
@@ -419,7 +408,7 @@ class HttpHandler:
 
     async def _page_file(self, name: str, gzipped: bool) -> HttpResponse:
         if name in ("", INDEX) and not page_is_built(self._page_directory):
-            return HttpResponse.of_data(HTTPStatus.NOT_FOUND, NOT_BUILT.encode(), "text/html; charset=utf-8")
+            return HttpResponse.of_text(HTTPStatus.NOT_FOUND, f"armbridge is running; {HOW_TO_BUILD_PAGE}")
         file = await self._page_files.read(lambda: find_page_file(self._page_directory, name), gzipped=gzipped)
         keeping = _FOR_EVER if _HASHED.fullmatch(name) else _ASK_AGAIN
         return HttpResponse.of_file(file, media_type(name or INDEX), keeping, {"Content-Security-Policy": self._policy})

@@ -32,8 +32,7 @@ HIDDEN = "***"
 # A shorter text is no token, and may stand anywhere.
 LEAST_SECRET_CHARACTERS = 8
 
-# All files about faults together, the newest first; they shrink to a tenth in the archive.
-MAX_FAULT_BYTES = 10_000_000
+# The newest files about faults, of some 300 kB each; they shrink to a tenth in the archive.
 MAX_FAULT_FILES = 20
 
 # Of a file that is copied; a robot.toml has a few kilobytes.
@@ -160,13 +159,8 @@ def add_machine(report: Report) -> None:
 
 
 def add_faults(report: Report, directory: Path) -> None:
-    left = MAX_FAULT_BYTES
     for path in sorted(directory.glob(f"{PREFIX}*.jsonl"), reverse=True)[:MAX_FAULT_FILES]:
         with report.part(f"faults/{path.name}"):
-            left -= path.stat().st_size
-            if left < 0:
-                report.note(f"faults: those before {path.name} are left out, of more than {MAX_FAULT_BYTES} bytes")
-                return
             report.add(f"faults/{path.name}", path.read_text(errors="replace"))
 
 

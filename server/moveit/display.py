@@ -11,7 +11,7 @@ from server.execution.monitors import state_message
 from server.execution.motions import Performed
 from server.graph.topics import Graph
 from server.moveit.messages import Message
-from server.moveit.trajectories import to_messages
+from server.moveit.trajectories import is_long, to_message, to_messages
 
 PATH_TOPIC = "/display_planned_path"
 CONTACTS_TOPIC = "/display_contacts"
@@ -38,7 +38,7 @@ class DisplayTopics:
     def __init__(self, graph: Graph, robot: RobotModel) -> None:
         self._robot = robot
         self._node = graph.node("display")
-        # A motion that is still to be shown, unless another comes first.
+        # A long motion that is still to be shown, unless another comes first.
         self._writing: asyncio.Task[None] | None = None
         self._node.advertise(PATH_TOPIC, "moveit_msgs/DisplayTrajectory", latch=True)
         self._node.advertise(CONTACTS_TOPIC, "visualization_msgs/MarkerArray")
@@ -47,10 +47,13 @@ class DisplayTopics:
     def performed(self, performed: Performed) -> None:
         """Show motions that are about to be executed, one after the other."""
         start = state_message(dict(performed.start_rad), self._robot.root_link, 0.0)
-        self._stop_writing()
-        self._writing = asyncio.create_task(self._write(performed.planned, start), name="shown motion")
+        if is_long(performed.planned):
+            self._stop_writing()
+            self._writing = asyncio.create_task(self._show_long(performed.planned, start), name="shown motion")
+        else:
+            self.trajectories([to_message(motion, self._robot.root_link) for motion in performed.planned], start)
 
-    async def _write(self, planned: Sequence[Trajectory], start: Message) -> None:
+    async def _show_long(self, planned: Sequence[Trajectory], start: Message) -> None:
         trajectories, self._writing = await to_messages(planned, self._robot.root_link), None
         self.trajectories(trajectories, start)
 

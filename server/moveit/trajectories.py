@@ -27,6 +27,9 @@ SAME_POSITION_RAD = 1e-4
 # A hundred seconds at 100 Hz, ten minutes at 16 Hz. They are read and checked in 20 ms.
 MAX_POINTS = 10_000
 
+# Points that are written at once: ten seconds of a motion, in 4 ms. Half an hour of it takes 0.6 s.
+POINTS_AT_ONCE = 1000
+
 
 def read_seconds(message: Message, where: str) -> float:
     """Read a builtin_interfaces/Duration or Time [s]."""
@@ -49,9 +52,18 @@ def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]
     }
 
 
+def is_long(trajectories: Sequence[Trajectory]) -> bool:
+    """Return True for motions that take longer to write than everybody may be kept waiting."""
+    return sum(len(each.time_s) for each in trajectories) > POINTS_AT_ONCE
+
+
 async def to_messages(trajectories: Sequence[Trajectory], frame: str) -> list[Message]:
-    """Write moveit_msgs/RobotTrajectory messages in a thread: half an hour of a motion takes 0.6 s."""
-    return await asyncio.to_thread(lambda: [to_message(each, frame) for each in trajectories])
+    """Write moveit_msgs/RobotTrajectory messages; a thread writes long motions."""
+
+    def write() -> list[Message]:
+        return [to_message(each, frame) for each in trajectories]
+
+    return await asyncio.to_thread(write) if is_long(trajectories) else write()
 
 
 @dataclass(frozen=True)

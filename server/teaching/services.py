@@ -112,13 +112,14 @@ class Teaching(Feature):
     """Records motions, one at a time, and keeps them by name."""
 
     name = "teaching"
+    deadline_s = CLOSE_TIMEOUT_S + 0.1
 
     def __init__(self, graph: Graph, planning: PlanningContext, motions: MotionFiles) -> None:
         self._planning, self._robot, self._motions = planning, planning.robot, motions
         self._node = graph.node("teaching")
         self._recorder: TeachingRecorder | None = None
         self._state: ArmState | None = None
-        self._closing = False
+        self._closing, self._reading = False, asyncio.Lock()
         self._shown_at_s = 0.0
         self._told = f"nothing is recorded: {BEGIN} begins"
         # The recording that is being made a motion.
@@ -243,10 +244,12 @@ class Teaching(Feature):
         return {"names": await self._motions.names()}
 
     async def _get(self, request: Message) -> CompleteResponse:
-        motion = await self._motions.load(request["name"])
+        # One at a time: the event loop, and a stop, would wait for the interpreter's lock behind each thread.
+        async with self._reading:
+            motion = await self._motions.load(request["name"])
+            # As many points as a client may send take longer to complete than everybody may be kept waiting.
+            trajectory = await asyncio.to_thread(to_message, motion)
         message = f"{motion.duration_s:.2f} s, {len(motion.time_s)} points"
-        # As many points as a client may send take longer to complete than everybody may be kept waiting.
-        trajectory = await asyncio.to_thread(to_message, motion)
         return CompleteResponse({"success": True, "message": message, "trajectory": trajectory})
 
     async def _check(self, request: Message) -> dict[str, Any]:

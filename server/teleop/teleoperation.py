@@ -125,6 +125,7 @@ class Teleoperation(Feature):
     """Has arms follow leaders, each follower one."""
 
     name = "teleoperation"
+    deadline_s = 0.5
 
     def __init__(
         self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]

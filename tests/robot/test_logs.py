@@ -3,6 +3,8 @@
 import json
 import logging
 import os
+import select
+import socket
 import subprocess
 import sys
 import threading
@@ -185,6 +187,39 @@ def test_every_process_logs_through_it() -> None:
         assert [type(each) for each in root.handlers[0].filters] == [logs.FloodFilter]
     finally:
         root.handlers = former
+
+
+LOGGER = """
+import logging
+from robot import logs
+logs.configure("INFO", "plain")
+for number in range(logs.BURST):
+    logging.info("line %d %s", number, 500 * "x")
+print("done", flush=True)
+input()
+logging.info("the last")
+"""
+
+
+@pytest.mark.parametrize("made", [os.pipe, os.openpty, lambda: [each.detach() for each in socket.socketpair()]])
+def test_a_log_that_nobody_reads_holds_nobody_up_and_says_how_much_is_missing(made: Any) -> None:
+    read_end, write_end = made()
+    command = [sys.executable, "-c", LOGGER]
+    with running(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=write_end) as logger:
+        assert logger.stdout.readline() == "done\n"
+        os.close(write_end)
+        read = b""
+        while select.select([read_end], [], [], 0.0)[0]:
+            read += os.read(read_end, 65_536)
+        logger.stdin.write("\n")
+        logger.stdin.flush()
+        while b"the last" not in read:
+            read += os.read(read_end, 65_536)
+        logger.wait(TIMEOUT_S)
+    os.close(read_end)
+    lines = read.decode().splitlines()
+    assert "more lines like this were left out before" in lines[-1]
+    assert lines[0].endswith("xxx")
 
 
 HOLDER = """

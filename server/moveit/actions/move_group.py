@@ -34,7 +34,7 @@ from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
 from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, RequestStep, sequence_requests
-from server.moveit.trajectories import external_motion, external_trajectory, to_message
+from server.moveit.trajectories import external_motion, external_trajectory, is_long, to_message
 
 log = logging.getLogger("armbridge.actions")
 
@@ -148,8 +148,11 @@ def _execute(goal: ActionGoal, queue: GoalQueue, motion: Motion, result: Callabl
 
 def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message]) -> None:
     goal.feedback({"state": IDLE})
+    performed = answer.performed
+    if not is_long([*performed.planned, *filter(None, (performed.executed,))]):
+        finish_goal(goal, answer, result)
+        return
 
-    # In a thread: a result with half an hour of a motion takes 0.6 s to write.
     async def write() -> None:
         goal.finish(goal_status(answer.code), CompleteResponse(await asyncio.to_thread(result, answer)))
 

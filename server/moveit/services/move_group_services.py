@@ -53,6 +53,9 @@ Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[s
 # Twice the planners' own deadline: a request may wait for another one first.
 TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
 
+# A waypoint in a frame takes 50 us to read.
+MAX_WAYPOINTS_AT_ONCE = 50
+
 # Names that MoveIt's planning plugins have.
 INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
 
@@ -208,7 +211,9 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
     """
     start = context.start(request["start_state"], caller)
     # A long path takes as long to read as everybody may be kept waiting.
-    built = await asyncio.to_thread(context.problems.cartesian_path, request, start.start_rad)
+    long = len(request["waypoints"]) > MAX_WAYPOINTS_AT_ONCE
+    read = context.problems.cartesian_path
+    built = await asyncio.to_thread(read, request, start.start_rad) if long else read(request, start.start_rad)
     plan = required(await context.pool.ask(built.problem, start.scene))
     root = context.robot.root_link
     start_state = state_message(dict(start.start_rad), root, 0.0)

@@ -14,8 +14,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from robot.control.pacing import PERIOD_S
 from robot.trajectory import Vector
-from server.chunks.action_chunks import ACTION_TYPE, MAX_JUMP_RAD, PAUSE_S, PolicyPhase
-from server.chunks.gripper import SETTLES_S
+from server.chunks.action_chunks import ACTION_TYPE, MAX_JUMP_RAD, PAUSE_S, SETTLES_S, PolicyPhase
 from server.execution.executor import CHECKS_AHEAD
 from server.execution.motions import SENDINGS_S
 from server.graph.permissions import Node

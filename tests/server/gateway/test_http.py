@@ -222,7 +222,7 @@ async def test_a_file_that_cannot_be_read_is_an_error_of_the_server(
 async def test_without_a_page_it_says_how_to_get_it_and_finds_it_once_it_is_there(site: Site, folders: Path) -> None:
     (folders / "dist").rename(folders / "elsewhere")
     got, body = await site.ask("/")
-    assert (got.status, got.headers["Content-Type"]) == (404, "text/html; charset=utf-8")
+    assert (got.status, got.headers["Content-Type"]) == (404, "text/plain; charset=utf-8")
     assert gate.HOW_TO_BUILD_PAGE.encode() in body
     (folders / "elsewhere").rename(folders / "dist")
     assert (await site.ask("/"))[0].status == 200

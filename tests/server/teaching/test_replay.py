@@ -197,6 +197,25 @@ async def test_a_taught_motion_is_saved_with_its_gripper_and_found_by_its_name(l
     assert got["points"][-1]["positions"][0] == pytest.approx(0.7, abs=0.02)
 
 
+async def test_motions_are_shown_one_after_the_other(lesson: Lesson, monkeypatch: pytest.MonkeyPatch) -> None:
+    await lesson.teach("wave")
+    motions, in_progress, most = lesson.teaching._motions, 0, 0
+    load = motions.load
+
+    async def counted(name: str) -> TaughtMotion:
+        nonlocal in_progress, most
+        in_progress += 1
+        most = max(most, in_progress)
+        motion = await load(name)
+        in_progress -= 1
+        return motion
+
+    monkeypatch.setattr(motions, "load", counted)
+    shown = await asyncio.gather(*(lesson.call("/teach/get", name="wave") for _ in range(4)))
+    assert [each["success"] for each in shown] == [True] * 4
+    assert most == 1
+
+
 async def test_a_check_tells_how_long_a_replay_would_take_at_a_speed_or_what_it_would_touch(lesson: Lesson) -> None:
     await lesson.teach("wave")
     whole, half = [await lesson.done("check", name="wave", speed=speed) for speed in (0.0, 0.5)]

@@ -17,12 +17,11 @@ from robot.description import model
 from robot.emulator.arm import MAX_WAITING_BYTES, EmulatedArm, LinkWeights, weight_of
 from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos
 from robot.errors import NoReply, StartupError
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
 from robot.hardware.interface import HardwareInterface, run_to_end
 from robot.hardware.port import LOCAL_LATENCY_S
 from tests.helpers import arm_rig, dynamixel
 from tests.helpers.dynamixel import emulated_arm
-from tests.helpers.emulated_family import run
 from tests.helpers.emulator import ALL, COMMANDS, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet
 from tests.helpers.resources import examples
 from tests.helpers.robots import SO101_SERVOS, so101
@@ -98,16 +97,6 @@ def test_replies_are_lost_or_damaged_as_configured_and_alike_for_a_seed(kind: st
     assert first == again != other
 
 
-@OF_BOTH_FAMILIES
-def test_the_weight_of_the_links_is_on_the_servos_and_a_relaxed_arm_sinks(kind: str, clock: SteppedClock) -> None:
-    upright = emulated_arm(kind, clock, start_rad={"shoulder_lift": -0.485}).bus.servos[1].plant.gravity_permille
-    shoulder = emulated_arm(kind, clock, start_rad={"shoulder_lift": 1.0}).bus.servos[1]
-    stretched, before = shoulder.plant.gravity_permille, shoulder.plant.position_ticks
-    assert abs(stretched) > 1.2 * abs(upright) > 0.0
-    run(shoulder, 1.0)
-    assert (shoulder.plant.position_ticks - before) * stretched < 0.0
-
-
 @pytest.mark.parametrize(("resumes", "lines"), [(False, []), (True, ["{}"])])
 def test_only_servos_that_were_there_before_go_on_with_their_record(
     clock: SteppedClock, write_log: Path, resumes: bool, lines: list[str]
@@ -132,12 +121,6 @@ def offset_calibration(tmp_path: Path) -> Calibration:
     path = tmp_path / "arm.json"
     path.write_text(json.dumps({spec.joint: {"id": spec.servo_id + 10, **entry} for spec in SO101_SERVOS}))
     return Calibration.load(path, SO101_SERVOS)
-
-
-def test_a_calibration_gives_the_servos_its_offsets_and_ranges(offset_calibration: Calibration) -> None:
-    servo = build_servos(offset_calibration, [0.0] * 6)[0]
-    assert (servo.servo_id, servo.present_ticks, servo.value(Register.HOMING_OFFSET)) == (11, 1950, -120)
-    assert (servo.value(Register.MIN_ANGLE_LIMIT), servo.value(Register.MAX_ANGLE_LIMIT)) == (900, 3000)
 
 
 def gravity_permille(calibration: Calibration, pose: list[float]) -> list[float]:

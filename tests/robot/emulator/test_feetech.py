@@ -191,16 +191,6 @@ def set_id(bus: Bus, present: int, wanted: int) -> None:
     bus.write(wanted, Register.LOCK, 1)
 
 
-def test_a_kit_gets_its_ids_one_servo_at_a_time_and_keeps_them(kit):
-    bus = kit.open_bus()
-    for number in range(6, 0, -1):
-        assert kit.command(unplug=JOINTS, plug=[number]) == {"ok": True}
-        set_id(bus, 1, number)
-    kit.command(plug=JOINTS)
-    assert list(bus.broadcast_ping()) == [1, 2, 3, 4, 5, 6]
-    assert [servo.servo_id for servo in kit.servo_bus.servos] == [1, 2, 3, 4, 5, 6]
-
-
 def test_a_servo_that_shares_its_id_leaves_the_others_understood(kit):
     assert kit.command(unplug=JOINTS) == kit.command(plug=["shoulder_pan", "wrist_roll", "gripper"]) == {"ok": True}
     bus = kit.open_bus()

@@ -110,21 +110,15 @@ def test_a_wrong_setting_is_one_line_and_exit_2(arguments, words, capsys):
     assert words in line
 
 
-SECOND_LIMIT = '<limit lower="-1.9" upper="1.9" velocity="2" effort="9"/>'
-
+# tests/robot/description has all that is refused.
 NO_ARM = {
     "no joint that moves": (
         re.sub(r"<axis[^>]*><limit[^>]*>", "", SEVEN_JOINT_URDF).replace('"revolute"', '"fixed"'),
         "URDF {urdf} has no movable joint: no <joint> has the type revolute, continuous or prismatic",
     ),
-    "no limit": (SEVEN_JOINT_URDF.replace(SECOND_LIMIT, ""), "URDF {urdf} joint 'a2' has no <limit>: add <limit "),
     "no range": (
         SEVEN_JOINT_URDF.replace('lower="-1.9" upper="1.9" ', ""),
         "URDF {urdf} joint 'a2' <limit> lower 0 must be below upper 0",
-    ),
-    "no speed": (
-        SEVEN_JOINT_URDF.replace('velocity="2.5"', 'velocity="0"'),
-        "URDF {urdf} joint 'a4' <limit> velocity must be above 0, not 0: correct it, or set max_velocity in",
     ),
 }
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from robot.errors import NoReply, PortLost, StartupError
+from robot.errors import NoReply, StartupError
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.bus import STEP_ATTEMPTS, read, read_registers, write_verified
 from robot.hardware.servos.family import ServoFound
@@ -56,22 +56,6 @@ def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(family: Famil
     assert sorted(block_read(family, bus)) == [1, 2, 4, 5, 6]
     emulator.servo_bus.faults.offline = set()
     assert bus.read(3, family.registers.Register.TORQUE_ENABLE) == 0
-
-
-def test_one_broadcast_switches_all_torque_off(family: Family) -> None:
-    bus, torque = family.emulator().open_bus(), family.registers.Register.TORQUE_ENABLE
-    for servo in IDS:
-        bus.write(servo, torque, 1)
-    bus.broadcast_torque_off()
-    assert [bus.read(servo, torque) for servo in IDS] == [0] * 6
-
-
-def test_a_lost_port_is_told(family: Family) -> None:
-    emulator = family.emulator()
-    bus = emulator.open_bus()
-    emulator.port.unplug()
-    with pytest.raises(PortLost):
-        bus.read(3, family.registers.Register.TORQUE_ENABLE)
 
 
 def test_a_sequence_asks_again_when_a_reply_is_lost(family: Family) -> None:
@@ -204,14 +188,6 @@ def test_servos_that_do_not_answer_are_named_and_no_cable_if_they_are_emulated(f
     emulator.servo_bus.faults.offline = set(IDS)
     with pytest.raises(NoReply):
         run_to_end(steps)
-
-
-def test_limits_of_another_calibration_are_a_warning(family: Family, emulator: Any) -> None:
-    joint = family.calibration.joints[1]
-    family.put(emulator, 2, family.lowest_limit, joint.range_min - 100)
-    (warning,) = surveyed(family, emulator)[2].warnings
-    assert f"({joint.range_min - 100}, {joint.range_max})" in warning.sentence
-    assert f"({joint.range_min}, {joint.range_max})" in warning.sentence
 
 
 def test_a_homing_offset_that_another_program_wrote_is_refused_with_the_remedy(family: Family, emulator: Any) -> None:

@@ -22,6 +22,7 @@ from server.execution.monitors import CurrentState
 from server.graph.permissions import Node
 from server.graph.services import Response
 from server.graph.topics import Graph
+from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.interface import APPLY, GET, SceneInterface
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 
@@ -54,7 +55,7 @@ async def _measure() -> None:
     robot, graph, client = built_in("so101").model, Graph(Registry.load()), Node("client", remote=True)
     arm = _StandingArm(tuple(joint.name for joint in robot.movable_joints))
     current = CurrentState(cast(Arm, arm), robot)
-    scene = SceneInterface(graph, SceneState(robot), AssumedStates(robot), current, 4.0)
+    scene = SceneInterface(graph, SceneState(robot), AssumedStates(robot), current, MoveItParameters())
 
     def call(service: str, request: bytes) -> bytes:
         answers: list[Response] = []

@@ -30,7 +30,7 @@ from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics
 from server.moveit.named_states import NamedStatesServices, default_path
 from server.moveit.requests.constraints import planning_group
 from server.moveit.scene.interface import SceneInterface
-from server.moveit.scene.saved_scene import NamedScenes, SavedScene, offer_geometry_files, offer_named_scenes
+from server.moveit.scene.saved_scene import NamedScenes, SavedScene, offer_named_scenes
 from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
 from server.moveit.services.description import TransformRepublisher, TransformsTopics, offer_description, publish_groups
 from server.moveit.services.move_group_services import offer_services
@@ -62,9 +62,7 @@ class PlanningScene(Feature):
     def __init__(self, context: ServerContext) -> None:
         planning, graph, settings = context.planning, context.graph, context.settings
         scene, robot = planning.scene_state, planning.robot
-        rate_hz = settings.moveit.publish_planning_scene_hz
-        self._interface = SceneInterface(graph, scene, planning.assumed, planning.current, rate_hz)
-        offer_geometry_files(graph, scene, planning.current, settings.moveit.geometry_directory)
+        self._interface = SceneInterface(graph, scene, planning.assumed, planning.current, settings.moveit)
         self._saved: SavedScene | None = None
         # A world of the physics begins as its file has it.
         if settings.scene.keep and settings.simulation.world is None:

@@ -19,6 +19,7 @@ from server.graph.providers import CompleteResponse
 from server.graph.services import Call, answer
 from server.graph.topics import Graph, LocalNode
 from server.moveit.messages import Message, write_pose, write_transform
+from server.moveit.parameters import MoveItParameters
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.collision_objects import (
     GEOMETRY_KINDS,
@@ -29,6 +30,7 @@ from server.moveit.scene.collision_objects import (
     AttachedCollisionObject,
     CollisionObject,
 )
+from server.moveit.scene.geometry_files import offer_geometry_files
 from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
 from server.timers import CallLater, call_later
@@ -250,7 +252,7 @@ class SceneInterface:
         state: SceneState,
         assumed: AssumedStates,
         current: CurrentState,
-        rate_hz: float,
+        parameters: MoveItParameters,
     ) -> None:
         self._state = state
         self._assumed = assumed
@@ -261,6 +263,8 @@ class SceneInterface:
         node.offer_calls(APPLY, "moveit_msgs/srv/ApplyPlanningScene", self._apply, limits=SCENE_LIMITS, rule=WORKING)
         # The scene has no octomap, so there is nothing to clear.
         node.offer(CLEAR_OCTOMAP, "std_srvs/srv/Empty", lambda _request: {}, rule=WORKING)
+        offer_geometry_files(node, state, current, parameters.geometry_directory)
+        rate_hz = parameters.publish_planning_scene_hz
         self._publisher = MonitoredScenePublisher(graph, state, current, rate_hz)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Planning scenes in files: between two runs of the server, by name, and the geometry alone by MoveIt's services.
+"""Planning scenes in files: the scene between two runs of the server, and scenes that users save by name.
 
 A file holds a moveit_msgs/PlanningScene as JSON, without joints. One server has the file of the present scene from
 its start to its end; two servers would take the other's obstacles for their own.
@@ -8,7 +8,7 @@ import asyncio
 import json
 import logging
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from pathlib import Path
 from typing import Any
 
@@ -16,26 +16,18 @@ from protocol.codecs.pieces import encoded_pieces, json_notation
 from protocol.errors import MessageError
 from robot import files
 from robot.description.model import RobotModel
-from server.errors import RefusedError, ServiceError, UnsuccessfulError, invalid
+from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.graph.message_types import MessageTypes
-from server.graph.permissions import CONFIGURING, LOOKING, WORKING, Rule
+from server.graph.permissions import CONFIGURING, LOOKING, WORKING
 from server.graph.topics import Graph
 from server.moveit.messages import Message
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
-from server.moveit.scene.interface import (
-    EVERYTHING,
-    NO_MATRIX,
-    NO_STATE,
-    OBJECT_COLORS,
-    WORLD_OBJECT_GEOMETRY,
-    WORLD_OBJECT_NAMES,
-    scene_message,
-)
+from server.moveit.scene.interface import EVERYTHING, NO_MATRIX, NO_STATE, scene_message
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
-from server.named_files import NamedFiles, in_thread, read_json, set_aside
+from server.named_files import NamedFiles, read_json, set_aside
 
 log = logging.getLogger("armbridge.scene")
 
@@ -260,60 +252,3 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
     node.offer("/arm/scenes/save", "armbridge_msgs/srv/SaveScene", save, rule=CONFIGURING)
     node.offer("/arm/scenes/load", "armbridge_msgs/srv/LoadScene", load, rule=WORKING)
     node.offer("/arm/scenes/delete", "armbridge_msgs/srv/DeleteScene", delete, rule=CONFIGURING)
-
-
-SAVE, LOAD = "/save_geometry_to_file", "/load_geometry_from_file"
-
-# The parts of a scene that a file of its geometry has.
-GEOMETRY = WORLD_OBJECT_NAMES | WORLD_OBJECT_GEOMETRY | OBJECT_COLORS
-
-
-def offer_geometry_files(graph: Graph, state: SceneState, current: CurrentState, directory: Path | None) -> None:
-    """Offer MoveIt's services that save and load the objects of the world, for files in a folder."""
-    node = graph.node("geometry files")
-
-    async def save(path: Path) -> None:
-        message = scene_message(state.contents, state.robot, NO_STATE, GEOMETRY)
-
-        def write() -> None:
-            text = encoded_bounded(message, MAX_SCENE_BYTES)
-            with files.locked(path):
-                files.replace(path, text)
-
-        await in_thread(path, "it cannot be written", write)
-
-    async def load(path: Path) -> None:
-        content = await in_thread(path, "it cannot be read", lambda: read_json(path, MAX_SCENE_BYTES))
-        scene = complete_scene(graph.message_types, content)
-        # As in MoveIt, objects that the file does not name stay.
-        parts = {"is_diff": True, "world": scene["world"], "object_colors": scene["object_colors"]}
-        await state.change(state.diff(parts), current.positions_rad())
-
-    def offer(service: str, type_name: str, work: Callable[[Path], Awaitable[None]], rule: Rule) -> None:
-        async def serve(request: Message) -> Message:
-            try:
-                await work(file_within(directory, request["file_path_and_name"]))
-            except (ServiceError, RefusedError, MessageError) as error:
-                # The response has no field for the reason.
-                log.warning("%s: %s", service, error)
-                raise UnsuccessfulError({"success": False}, str(error)) from error
-            return {"success": True}
-
-        node.offer(service, f"moveit_msgs/srv/{type_name}", serve, rule=rule)
-
-    offer(SAVE, "SaveGeometryToFile", save, CONFIGURING)
-    offer(LOAD, "LoadGeometryFromFile", load, WORKING)
-
-
-def file_within(directory: Path | None, name: str) -> Path:
-    """Return the path of a client's file; relative names start in the directory."""
-    if directory is None:
-        raise invalid("the setting moveit.geometry_directory names no folder, so there are no files")
-    folder = directory.resolve()
-    try:
-        path = (folder / name).resolve()
-    except (ValueError, OSError) as error:
-        raise invalid(f"file_path_and_name {name[:100]!r} is no file: {error}") from error
-    if path == folder or not path.is_relative_to(folder):
-        raise invalid(f"file_path_and_name {name[:100]!r} must be a file in {folder}")
-    return path

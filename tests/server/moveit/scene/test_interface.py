@@ -15,6 +15,7 @@ from server.execution.monitors import state_message
 from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.moveit.messages import matrix_of
+from server.moveit.parameters import MoveItParameters
 from server.moveit.scene import interface
 from server.moveit.scene.scene_state import AT_ONCE_ELEMENTS, AssumedStates, SceneChange, SceneState
 from tests.helpers.clock import FakeClock
@@ -53,7 +54,7 @@ MESSAGES = {
 @pytest.mark.parametrize(("topic", "messages"), MESSAGES.items(), ids=MESSAGES)
 async def test_every_topic_changes_the_scene_and_logs_a_refusal_with_its_name(topic, messages, caplog):
     graph, state = Graph(REGISTRY), SceneState(ROBOT)
-    interface.SceneInterface(graph, state, AssumedStates(ROBOT), current_state(), 4.0)
+    interface.SceneInterface(graph, state, AssumedStates(ROBOT), current_state(), MoveItParameters())
     graph.publish(Node("client"), topic, messages[0])
     assert "cup" in {**state.contents.objects, **state.contents.attached}
     graph.publish(Node("client"), topic, messages[1])
@@ -74,7 +75,7 @@ class Client:
         self.clock = FakeClock()
         self.graph = Graph(REGISTRY, call_later=self.clock.call_later)
         self.node = Node("client", remote=True)
-        interface.SceneInterface(self.graph, self.state, self.assumed, current_state(), 4.0)
+        interface.SceneInterface(self.graph, self.state, self.assumed, current_state(), MoveItParameters())
 
     def call(self, service, **request):
         response = answered(self.graph, service, self.node, **request)

@@ -3,7 +3,6 @@ import gc
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -29,7 +28,6 @@ from robot.messages import ArmState, Mode, MotionEnded, Outcome, Pace, PlaybackD
 from robot.trajectory import Trajectory
 from server.execution import executor as execution
 from server.execution.executor import CODE_OF_OUTCOME, MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
-from server.execution.failures import FailedGoals
 from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.monitors import CurrentScene, CurrentState
 from server.execution.motions import (
@@ -286,18 +284,6 @@ async def test_an_external_trajectory_is_checked_and_played_from_where_the_arm_h
     assert stage.arm.played[0].positions_rad[0, 0] == 0.02
     assert stage.rechecked[0].trajectory is stage.arm.played[0]
     assert set(stage.rechecked[0].others_rad) == {"gripper"}
-
-
-async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_path: Path) -> None:
-    stage.executor = stage.executing(failed_goals=FailedGoals(tmp_path / "failed", so101(), lambda: 0.0, 1))
-    stage.failures = [NO_WAY]
-    for _ in range(2):
-        await stage.begin(to(shoulder_pan=0.4))
-        await until(lambda: stage.running.done() or stage.arm.played)
-        stage.arm.end()
-        await stage.answer()
-    names = [path.name for path in (tmp_path / "failed").glob("*.json")]
-    assert names == ["goal-19700101T000000.000000Z-PLANNING_FAILED.json"]
 
 
 # The motion that is played

@@ -52,7 +52,7 @@ def test_a_refusal_carries_the_id_and_name_of_what_was_called_if_they_can_be_sen
     for mark in ({}, [1], True, "x" * (MAX_ID_CHARACTERS + 1)):
         assert receive(Session(), op="subscribe", topic=5, id=mark).id is None
     for field in ("service", "action"):
-        for characters, named in ((MAX_NAME_CHARACTERS, True), (MAX_NAME_CHARACTERS + 1, False)):
+        for characters, named in ((3, True), (MAX_NAME_CHARACTERS, True), (MAX_NAME_CHARACTERS + 1, False)):
             name = "x" * characters
             refusal = receive(Session(), op="call_service", id={}, **{field: name})
             assert refusal.called == (name if named else ""), characters
@@ -103,6 +103,31 @@ def test_a_frame_is_read_ahead_or_by_itself_only_where_nothing_before_it_matters
     amid = Session(limits)
     assert read(amid, '{"op":') == []
     assert not amid.reads_by_itself(frame)
+
+
+def test_a_client_is_answered_in_the_encoding_of_its_last_frame_also_of_one_that_was_read_ahead():
+    fields = {"op": "unsubscribe", "topic": "/b"}
+    for receive_frame in (read, Session.peek):
+        session = subscribed()
+        for frame, decode in ((bson.encode(fields), bson.decode), (json.dumps(fields), json.loads)):
+            receive_frame(session, frame)
+            session.reply({"op": "x"})
+            session.deliver(message("y"), 1.0)
+            frames = [frame for encoded in session.data_to_send(1.0) for frame in encoded.frames]
+            assert [decode(frame.data)["op"] for frame in frames] == ["x", "publish"]
+            assert {frame.text for frame in frames} == {decode is json.loads}
+
+
+def test_a_status_goes_with_its_id_to_a_client_that_asked_for_its_level_and_unasked_to_any():
+    session = Session()
+    for asked, heard in (("none", []), ("error", ["error"]), ("info", ["error", "warning", "info"])):
+        session.status_level = asked
+        for level in ("error", "warning", "info"):
+            session.status(level, "x", "mark")
+        assert sent(session) == [{"op": "status", "level": level, "msg": "x", "id": "mark"} for level in heard]
+    session.status_level = "none"
+    session.status("info", "x", None, unasked=True)
+    assert sent(session) == [{"op": "status", "level": "info", "msg": "x"}]
 
 
 def test_a_wrongly_packed_operation_is_refused():

@@ -545,12 +545,14 @@ async def test_a_goal_whose_motion_takes_too_long_replaces_no_motion(stage: Stag
 
 
 class Given:
-    """A trajectory that continues where it is asked to; it knows when it was to begin, of each attempt."""
+    """A trajectory that continues where it is asked to; it knows when each attempt was to begin, and prepares it."""
 
-    def __init__(self) -> None:
+    def __init__(self, prepare: Callable[[int], object] = lambda _attempt: None) -> None:
+        self._prepare = prepare
         self.begins_s: list[float] = []
 
     def __call__(self, positions_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
+        self._prepare(len(self.begins_s))
         self.begins_s.append(at_s)
         held_rad = positions_rad if point is None else point.positions_rad
         return smooth_move({name: (held_rad[name], held_rad[name] + 0.1) for name in ARM}, 1.0)
@@ -592,23 +594,13 @@ async def test_a_given_trajectory_changes_the_goals_within_15_ms_of_its_answer(
     assert len(stage.arm.continued) == 2 + len(checks_s)
 
 
-class Checked(Given):
-    """One whose checks take some times [s]."""
-
-    def __init__(self, stage: Stage, *checks_s: float) -> None:
-        super().__init__()
-        self._stage, self._checks_s = stage, checks_s
-
-    def __call__(self, positions_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
-        self._stage.recheck_s = self._checks_s[len(self.begins_s)]
-        return super().__call__(positions_rad, at_s, point)
-
-
 async def test_a_given_trajectory_whose_check_was_late_takes_over_just_behind_the_tick_that_it_missed(
     stage: Stage,
 ) -> None:
     await stage.begin(to(shoulder_pan=0.4))
-    for trajectory in (*(Checked(stage, 0.004) for _ in range(5)), Checked(stage, 0.008, 0.004)):
+    for first_check_s in (0.004, 0.004, 0.004, 0.004, 0.004, 0.008):
+        checks_s = first_check_s, 0.004
+        trajectory = Given(lambda attempt, checks_s=checks_s: setattr(stage, "recheck_s", checks_s[attempt]))
         tick_s, stage.news = stage.clock() - 0.003, []
         stage.arm.show(0.2)
         stage.arm.state = replace(stage.arm.state, tick_s=tick_s)
@@ -636,22 +628,12 @@ async def test_listeners_hear_of_a_given_trajectory_when_the_arm_has_it(stage: S
 async def test_a_given_trajectory_that_came_too_late_is_sent_again_three_times(stage: Stage, refusals: int) -> None:
     stage.recheck_s = 0.008
     await under_way(stage)
-    trajectory = Given()
-
-    def late(positions_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
-        stage.arm.refusing = len(trajectory.begins_s) < refusals
-        return trajectory(positions_rad, at_s, point)
-
-    await stage.begin(ExternalTrajectory(late, frozenset(ARM)))
+    trajectory = Given(lambda attempt: setattr(stage.arm, "refusing", attempt < refusals))
+    await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM)))
     await until(lambda: len(stage.arm.played) == 2 + refusals)
     await stage.arrive()
     assert (stage.arm.stops == []) is (refusals <= 3)
     assert len(trajectory.begins_s) == refusals + 1
-
-
-def be_nowhere_to_leave(stage: Stage) -> None:
-    outgoing: Any = stage.executor._outgoing
-    outgoing.path_time = PathTime(0.0, 0.0, 0.0)
 
 
 # Planning takes too long, there is no plan, the arm has left the place, or it goes back.
@@ -659,7 +641,7 @@ OBSTACLES: list[Callable[[Stage], object]] = [
     lambda stage: stage.planners_answer.clear(),
     lambda stage: stage.failures.append(NO_WAY),
     lambda stage: setattr(stage.arm, "refusing", True),
-    be_nowhere_to_leave,
+    lambda stage: setattr(stage.executor._outgoing, "path_time", PathTime(0.0, 0.0, 0.0)),
 ]
 
 

@@ -14,6 +14,7 @@ from planners.problem import Plan, PlanningProblem
 from planners.scene import Pose
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.robot_folder import built_in
+from tests.planners.scenes import tip_positions_m
 
 FETCH, KOCH = built_in("fetch").model, built_in("koch_v1_1").model
 TIP = "gripper_link"
@@ -65,6 +66,6 @@ def test_a_koch_touches_nothing_at_and_between_its_named_states_and_reaches_as_f
     for name, end in states.items():
         way = states["home"] + np.linspace(0.0, 1.0, 50)[:, np.newaxis] * (end - states["home"])
         assert not any(map(collision.collides, way)), name
-    (tip,) = collision.tip_positions([states["extended"]], "gripper_frame_link")
+    (tip,) = tip_positions_m(collision, [states["extended"]], "gripper_frame_link")
     # Upper arm 108 mm, forearm 100 mm, wrist 45 mm, fingers 67 mm.
     assert tip[:2] == pytest.approx([0.32, 0.0], abs=0.01)

@@ -56,7 +56,7 @@ def test_no_point_travels_further_than_is_said(collision):
     for q in STATES:
         for column, step in enumerate(step_rad * np.eye(len(NAMES))):
             for link in ("wrist", "left", "right"):
-                start_m, end_m = collision.tip_positions([q, q + step], link)
+                start_m, end_m = FORWARD.placements([q, q + step], link).positions_m
                 most_m = collision.travel_m_per_rad[column] * step_rad * (1.0 + 1e-6)
                 assert np.linalg.norm(end_m - start_m) <= most_m
 

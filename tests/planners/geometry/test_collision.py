@@ -7,7 +7,7 @@ from planners.geometry import collision as collision_module
 from planners.geometry.collision import DEPTH_ACCURACY_M, CollisionModel
 from planners.scene import EMPTY_SCENE, AttachedObject, Box, Mesh, Plane, Pose, Scene, SceneObject
 from tests.helpers.resources import in_proportion
-from tests.planners.scenes import CORNERS_M, FACES, SHAPES, around_the_arm, scene, thing
+from tests.planners.scenes import CORNERS_M, FACES, SHAPES, around_the_arm, scene, thing, tip_positions_m
 
 CUBE, POST = thing(Box((0.1,) * 3), 0.3, 0.0, 0.0, name="cube"), thing(Box((0.1, 0.1, 0.5)), 0.3, 0.3, 0.0, name="post")
 FINGERS = frozenset({"moving_jaw_so101_v1_link"})
@@ -91,7 +91,7 @@ def test_no_verdict_depends_on_what_was_asked_before(robot, collision):
 
 def test_tip_of_the_stretched_arm_is_where_it_was_measured(collision):
     # Figures of the official description at all joints zero.
-    tip_m = collision.tip_positions([HOME], "gripper_frame_link")[0]
+    tip_m = tip_positions_m(collision, [HOME], "gripper_frame_link")[0]
     np.testing.assert_allclose(tip_m, (0.391, 0.0, 0.226), atol=1e-3)
 
 

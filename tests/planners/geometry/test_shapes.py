@@ -18,9 +18,9 @@ CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0
 
 
 @examples(20)
-@given(st.integers(0, 1000), st.tuples(*[st.floats(0.01, 1.0)] * 3))
-def test_many_points_are_enclosed_by_few_corners(seed, size_m):
-    points = np.random.default_rng(seed).normal(size=(2000, 3))
+@given(st.integers(0, 1000), st.tuples(*[st.floats(0.01, 1.0)] * 3), st.sampled_from([2000, shapes.MANY_POINTS]))
+def test_many_points_are_enclosed_by_few_corners(seed, size_m, count):
+    points = np.random.default_rng(seed).normal(size=(count, 3))
     points = 0.3 + np.array(size_m) * points / np.linalg.norm(points, axis=1)[:, None]
     hull = enclosing(points)
     assert len(hull.points()) <= shapes.MAX_CORNERS

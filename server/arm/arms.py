@@ -141,22 +141,42 @@ class ServedArm:
         return self.name and f"{self.name}_"
 
 
-# Share of a period that passes between two states of several arms together: each has a clock of its own, and a busy
-# machine brings the states of one arm in bursts.
-JOINED_SHARE = 0.9
+# Shares of a period: arms whose states come later than that after the others are not waited for, and in a burst the
+# next state is not published earlier.
+LATE, EARLY = 1.5, 0.5
+
+
+class JoinedBeat:
+    """Beat in which the states of several arms, each with a clock of its own, are passed on as one."""
+
+    def __init__(self, names: frozenset[str], period_s: float) -> None:
+        self._earliest_s, self._latest_s = EARLY * period_s, LATE * period_s
+        # Those that have sent a state since the last time, and those that had before.
+        self._fresh: set[str] = set()
+        self._awaited: frozenset[str] = names
+        self._told_s = -math.inf
+
+    def takes(self, name: str, now_s: float) -> bool:
+        """Return True if an arm's state is due to be passed on with the states of the others.
+
+        It is when each arm that is not silent has sent one, or some are late. A busy machine brings the states of one
+        arm in bursts, which are passed on once.
+        """
+        self._fresh.add(name)
+        since_s = now_s - self._told_s
+        if since_s < self._earliest_s or (since_s < self._latest_s and not self._fresh >= self._awaited):
+            return False
+        self._awaited = frozenset(self._fresh)
+        self._fresh.clear()
+        self._told_s = now_s
+        return True
 
 
 class Arms:
     """All arms of a server, whose states go to its features; several have one together at the rate of one arm."""
 
-    def __init__(
-        self,
-        files: Mapping[str, ArmFiles],
-        graph: Graph,
-        arm_process: StartedChild | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._graph, self._clock = graph, clock
+    def __init__(self, files: Mapping[str, ArmFiles], graph: Graph, arm_process: StartedChild | None = None) -> None:
+        self._graph = graph
         self._features: tuple[Feature, ...] = ()
         arms = {name: self._made(name, each, arm_process) for name, each in files.items()}
         self.each = tuple(
@@ -169,9 +189,9 @@ class Arms:
             group = ArmGroup({name: (arms[name], each.joint_names) for name, each in files.items()}, leaders)
             robot = joined_robot(files)
             self.whole = ServedArm("", ArmSettings(), Description(robot.name, robot, HardwareTable(), None), group)
-        rates_hz = [each.settings.joint_state_rate_hz for each in files.values() if not each.leads]
-        self._joined_period_s = JOINED_SHARE / max(rates_hz, default=LEADER_RATE_HZ)
-        self._joined_at_s = -math.inf
+        self._beat = JoinedBeat(
+            frozenset(files), 1.0 / max(each.settings.joint_state_rate_hz for each in files.values())
+        )
         self._health: dict[str, ArmHealth] = {}
 
     def _made(self, name: str, files: ArmFiles, arm_process: StartedChild | None) -> Arm:
@@ -189,8 +209,7 @@ class Arms:
     def _take_state(self, name: str, state: ArmState) -> None:
         for feature in self._features:
             feature.on_state(name, state)
-        if name and (now_s := self._clock()) - self._joined_at_s >= self._joined_period_s:
-            self._joined_at_s = now_s
+        if name and self._beat.takes(name, time.monotonic()):
             self._take_state("", self.whole.arm.state)
 
     def _take_health(self, name: str, health: ArmHealth) -> None:

@@ -26,6 +26,8 @@ async def test_a_path_of_the_tip_gets_the_end_that_is_reached_and_says_if_its_ow
     assert 0.0 < details["free_fraction"] < 1.0
     assert details["end_by_other_way"] is False
     assert "what would work: the same path to (" in failure.message
+    cm = 100.0 * details["length_m"]
+    assert f" m, {details['free_fraction'] * cm:.1f} of {cm:.1f} cm" in failure.message
     assert "by a motion that does not follow it" not in failure.message
     end = Pose(tuple(details["free_m"]), tuple(details["free_orientation"]))
     part = await pool.ask(CartesianProblem("arm", HOME, TIP, (Line(end),)), WALL)
@@ -53,13 +55,16 @@ async def test_a_goal_to_which_no_motion_was_found_gets_the_nearest_that_one_rea
     assert isinstance(await DirectPool().ask(nearest, WALL), Plan)
 
 
-async def test_a_goal_that_is_not_beyond_limits_is_not_asked_about_for_its_constraints() -> None:
+@pytest.mark.parametrize(("position_rad", "asked"), [(-1.0, False), (1.0, False), (-1.001, True), (1.001, True)])
+async def test_a_goal_is_asked_about_where_it_is_beyond_limits_and_not_for_its_constraints(
+    position_rad: float, asked: bool
+) -> None:
     details = {"joint": "shoulder_pan", "lower_rad": -1.0, "upper_rad": 1.0}
     failure = PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "the range of the constraint", details)
     pool = DirectPool()
-    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": 0.5}))
-    assert await with_nearest_goal(failure, problem, WALL, pool) is failure  # type: ignore[arg-type]
-    assert pool.requests == []
+    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": position_rad}))
+    answer = await with_nearest_goal(failure, problem, Scene(), pool)  # type: ignore[arg-type]
+    assert (len(pool.requests), answer is failure) == (asked, not asked)
 
 
 async def test_a_failure_does_not_wait_for_planners_that_are_busy(monkeypatch: pytest.MonkeyPatch) -> None:

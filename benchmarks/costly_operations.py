@@ -211,8 +211,6 @@ def _scenes() -> Iterator[Attack]:
 
 
 def _others() -> Iterator[Attack]:
-    names = {"client": "c" * 255, "dest": "d" * 255, "rand": "r" * 255, "level": "admin"}
-    yield Attack("auth by a mac", [op("auth", mac="0" * 128, t=1.0, end=9e9, **names)] * 1000)
     yield Attack("auth by a token", [op("auth", token="x" * 500)] * 1000)
     yield Attack("set_level", [op("set_level", level=level) for level in ("info", "none")] * 500)
     told = [op("status", level="error", msg="x" * 9000)] * 1000

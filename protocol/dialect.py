@@ -87,6 +87,7 @@ _MEMBER = re.compile(r"_(?=(?:Request|Response|Goal|Result|Feedback)\Z)")
 _ROSAPI_OF_ROS2, _ROSAPI_OF_ROS1 = "rosapi_msgs/", "rosapi/"
 
 
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def spell_type(type_name: str, dialect: Dialect) -> str:
     """Return a name of a type or member in a dialect's spelling: ``std_msgs/msg/String`` or ``std_msgs/String``."""
     if dialect == "ros2":

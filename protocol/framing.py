@@ -286,11 +286,9 @@ class StreamSplitter:
         self._end: ObjectEnd | None = None
 
     def add(self, data: bytes) -> None:
-        """Take bytes as they come."""
         self._data += data
 
     def clear(self) -> None:
-        """Forget what waits."""
         self._data.clear()
         self._end = None
 

@@ -1,7 +1,8 @@
 """Reader of one interface file of ROS: the text of a ``.msg``, ``.srv`` or ``.action`` becomes a definition.
 
-The grammar depends on the package's generation: ROS 2's has bounds, defaults and wide text
-(rosidl_adapter), of ROS 1 with ``time``, ``duration`` and ``Header`` (genmsg). Comments are passed over.
+The grammar has what both generations write: bounds, defaults and wide text (rosidl_adapter), ``time`` and ``duration``
+(genmsg). ROS 1 alone knows ``Header`` without a package, and takes a text constant as it stands. Comments are passed
+over.
 
 A file is read to its end; each line that cannot be read becomes a `Flaw`. The caller,
 which knows all files, resolves the types that the file refers to.
@@ -28,25 +29,9 @@ _MEMBERS: dict[Kind, tuple[str, ...]] = {
     "action": ("goal", "result", "feedback"),
 }
 
-# Names as rosidl_adapter takes them, and as genmsg does.
-_NAMES: dict[Generation, dict[str, re.Pattern[str]]] = {
-    "ros2": {
-        "type": re.compile(r"[A-Z][A-Za-z0-9]*"),
-        "field": re.compile(r"(?!.*__)(?!.*_\Z)[a-z][a-z0-9_]*"),
-        "constant": re.compile(r"(?!.*__)(?!.*_\Z)[A-Z][A-Z0-9_]*"),
-    },
-    "ros1": dict.fromkeys(("type", "field", "constant"), re.compile(r"[A-Za-z][A-Za-z0-9_]*")),
-}
-_NAME_WORDS: dict[Generation, dict[str, str]] = {
-    "ros2": {
-        "type": "a name such as JointNames: letters and digits, the first a capital",
-        "field": "a field's name such as joint_names: small letters, digits and single underscores",
-        "constant": "a constant's name such as MAX_JOINTS: capitals, digits and single underscores",
-    },
-    "ros1": dict.fromkeys(("type", "field", "constant"), "a name of letters, digits and underscores"),
-}
-
-PACKAGE_NAME = re.compile(r"[a-z][a-z0-9_]*", re.IGNORECASE)
+# Of types, fields and constants, in either generation; builds of ROS 2 have narrower rules.
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_NAME_WORDS = "a name of letters, digits and underscores"
 
 # `pkg/Type`, `string<=20`, `float64[9]`, `Point[<=3]`
 _TYPE = re.compile(
@@ -61,7 +46,7 @@ _LINE_BREAK = re.compile(r"\r\n|\r|\n")
 # What only ROS 1 reads, where a package does not tell its generation.
 _ROS1_LINE = re.compile(r"^[ \t]*(?:(?P<time>time|duration)|Header)(?:\[[0-9]*\])?[ \t]+[A-Za-z]", re.MULTILINE)
 
-_OLD_TIMES = {"time": "builtin_interfaces/Time", "duration": "builtin_interfaces/Duration"}
+_OLD_TIMES = ("time", "duration")
 
 # The second is of ROS 1 before Fuerte.
 _HEADERS_OF_ROS1 = frozenset(("Header", "roslib/Header"))
@@ -106,11 +91,10 @@ def is_spelled_as_ros1(text: str, *, has_header: bool) -> bool:
 
 
 def read_file(path: Path, text: str, package: str, kind: Kind, generation: Generation) -> InterfaceFile:
-    """Read an interface file; octets that are no UTF-8 come as lone surrogates."""
+    """Read an interface file."""
     read = InterfaceFile(f"{package}/{kind}/{path.stem}", path)
-    if not _NAMES[generation]["type"].fullmatch(path.stem):
-        wanted = _NAME_WORDS[generation]["type"]
-        read.problems.append(Flaw(path, None, "", f"the file's name is the type's: wanted {wanted}"))
+    if not NAME.fullmatch(path.stem):
+        read.problems.append(Flaw(path, None, "", f"the file's name is the type's: wanted {_NAME_WORDS}"))
     lines = _LINE_BREAK.split(text.removeprefix("\N{BYTE ORDER MARK}"))
     members = [_Member(package, generation)]
     for number, line in enumerate(lines, 1):
@@ -150,13 +134,13 @@ class _Member:
         name, value = re.fullmatch(r"([^\s=#]*)\s*(.*)", rest.strip(), re.DOTALL).groups()  # type: ignore[union-attr]
         if not name:
             raise ValueError("wanted a type, blanks and a name")
-        kind = "constant" if value.startswith("=") else "field"
-        _check_name(name, kind, self._generation)
+        if not NAME.fullmatch(name):
+            raise ValueError(f"wanted {_NAME_WORDS}, got {name}")
         declaration = _read_type(declared, self._package, self._generation)
         if name in self._names:
             raise ValueError(f"the name {name} is declared twice")
         self._names.add(name)
-        if kind == "constant":
+        if value.startswith("="):
             raw = self._generation == "ros1" and declared == "string"
             # A text constant of ROS 1 is all that follows the sign, comments and quotes too (genmsg.msg_loader).
             text = value[1:].strip() if raw else _without_comment(value[1:].strip())
@@ -166,15 +150,6 @@ class _Member:
         default = [_default(declaration, text, self._generation)] if text else []
         self.fields.append([name, declaration.spelled, *default])
         return "" if declaration.base in PRIMITIVES or declaration.base in _OLD_TIMES else declaration.base
-
-
-def _check_name(name: str, kind: str, generation: Generation) -> None:
-    if _NAMES[generation][kind].fullmatch(name):
-        return
-    hint = ""
-    if kind == "constant" and _NAMES[generation]["field"].fullmatch(name):
-        hint = "; a default stands behind a field's name without ="
-    raise ValueError(f"wanted {_NAME_WORDS[generation][kind]}, got {name}{hint}")
 
 
 class _Declaration(NamedTuple):
@@ -195,7 +170,6 @@ def _read_type(declared: str, package: str, generation: Generation) -> _Declarat
         raise ValueError(f"only string and wstring have a greatest length, {base} has none")
     if any(match[bound] and int(match[bound]) == 0 for bound in ("length", "size")):
         raise ValueError(f"a bound is at least 1, got {declared}")
-    _check_generation(declared, base, generation)
     if generation == "ros1" and base in _HEADERS_OF_ROS1:
         base = "std_msgs/Header"
     elif base not in PRIMITIVES and base not in _OLD_TIMES and "/" not in base:
@@ -205,16 +179,6 @@ def _read_type(declared: str, package: str, generation: Generation) -> _Declarat
         base = f"{package}/{base}"
     spelled = base + declared[len(match["base"]) :]
     return _Declaration(spelled, base, int(match["length"]) if match["length"] else None, match["brackets"] or "")
-
-
-def _check_generation(declared: str, base: str, generation: Generation) -> None:
-    """Refuse what only the other generation has."""
-    if generation == "ros2" and base in _OLD_TIMES:
-        raise ValueError(f"{base} is a type of ROS 1, and this is a package of ROS 2; wanted {_OLD_TIMES[base]}")
-    if generation == "ros1" and "<=" in declared:
-        raise ValueError("ROS 1 has no bounds of texts and arrays, and this is a package of ROS 1")
-    if generation == "ros1" and base == "wstring":
-        raise ValueError("ROS 1 has no wstring, and this is a package of ROS 1; wanted string")
 
 
 def _without_comment(text: str) -> str:
@@ -235,8 +199,6 @@ def _constant(declaration: _Declaration, text: str, generation: Generation) -> s
 
 
 def _default(declaration: _Declaration, text: str, generation: Generation) -> str:
-    if generation == "ros1":
-        raise ValueError(f"ROS 1 has no defaults, and this is a package of ROS 1; there must not be {text}")
     if declaration.base not in PRIMITIVES:
         raise ValueError(f"only fields of primitive types have defaults, and {declaration.base} is none")
     if not declaration.brackets:
@@ -270,17 +232,10 @@ def _elements(text: str) -> Iterator[str]:
 
 def _value(declaration: _Declaration, text: str, generation: Generation) -> Scalar:
     base = declaration.base
-    if not text.isascii() and any(_is_stray_octet(character) for character in text):
-        raise ValueError("wanted text in UTF-8")
     try:
         return values.converter(base, declaration.max_length)(_parsed(base, text, generation))
     except MessageError as error:
         raise ValueError(f"wanted {error.wanted}, got {text or 'nothing'}") from None
-
-
-def _is_stray_octet(character: str) -> bool:
-    # As `surrogateescape` decodes them.
-    return "\udc80" <= character <= "\udcff"
 
 
 def _parsed(base: str, text: str, generation: Generation) -> object:

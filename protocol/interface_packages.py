@@ -5,41 +5,26 @@ All problems of all files are reported at once.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import get_args
 
 from protocol.errors import InterfaceFilesError
-from protocol.interface_files import PACKAGE_NAME, Flaw, Generation, InterfaceFile, is_spelled_as_ros1, read_file
+from protocol.interface_files import NAME, Flaw, Generation, InterfaceFile, is_spelled_as_ros1, read_file
 from protocol.registry import (
     Definition,
     Kind,
-    MessageType,
     Registry,
     Table,
     read_ros1,
     read_ros2,
-    same_definition,
     with_action_messages,
 )
 
-# The largest published interface file has 40 kB, and the whole of ROS 2, as installed for a desktop, 1500 files.
-MAX_FILE_BYTES = 256 * 1024
-MAX_FILES = 10_000
-
 # Of a workspace: repositories in folders of their own, with packages in folders of their own.
 MAX_DEPTH = 6
-MAX_FOLDERS = 20_000
-
-# Values of a message outside lists. The first message of a type compiles a part for each value, while everything
-# waits: 0.3 s at this limit. The largest packaged type has 94.
-MAX_FIELDS = 2_000
-# Values of a message in which nothing is set, with the elements of its arrays of fixed size.
-MAX_DEFAULT_VALUES = 1_000_000
-# Of messages in messages; the packaged types have 11.
-MAX_NESTING = 32
 
 _KINDS: tuple[Kind, ...] = get_args(Kind)
 
@@ -59,20 +44,17 @@ class UserInterfaces:
     """Types of the user's packages.
 
     Attributes:
-        kept: names of types that differ from the packaged ones, which stay, because the program itself uses them.
-        replaced: names of types that take the place of packaged ones.
+        known: names of types that are packaged, which stay as they are: the program itself uses most of them.
         unread: interface files in folders of packages that are not read.
     """
 
     ros2: Table
     ros1: Table
     packages: tuple[str, ...] = ()
-    kept: tuple[str, ...] = ()
-    replaced: tuple[str, ...] = ()
+    known: tuple[str, ...] = ()
     unread: tuple[Path, ...] = ()
 
     def registry(self) -> Registry:
-        """Return the packaged types and these."""
         return Registry({**read_ros2(), **self.ros2}, {**read_ros1(), **self.ros1})
 
 
@@ -84,11 +66,8 @@ class _Package:
     texts: list[tuple[Kind, Path, str]] = field(default_factory=list)
 
 
-def read_packages(folders: Sequence[Path], own_packages: Collection[str] = ()) -> UserInterfaces:
-    """Read the interface files of packages; the packaged types of ``own_packages`` stay, because the program uses them.
-
-    Raises InterfaceFilesError with all problems.
-    """
+def read_packages(folders: Sequence[Path]) -> UserInterfaces:
+    """Read the interface files of packages, or raise InterfaceFilesError with all problems."""
     reader = _PackageReader()
     packages = [package for folder in folders for package in reader.read_folder(folder)]
     files: dict[Generation, list[InterfaceFile]] = {"ros1": [], "ros2": []}
@@ -101,25 +80,22 @@ def read_packages(folders: Sequence[Path], own_packages: Collection[str] = ()) -
     if problems:
         raise InterfaceFilesError(problems)
     tables = {generation: _table(each, problems) for generation, each in files.items()}
-    merged = _merged(tables, own_packages)
+    merged = _merged(tables)
     registry = merged.registry()
     for generation, chosen in (("ros2", registry), ("ros1", registry.ros1)):
         problems += _unknown_types(files[generation], chosen)
     if not problems:
-        for generation, chosen in (("ros2", registry), ("ros1", registry.ros1)):
-            problems += _Sizes(chosen).problems(files[generation])
+        problems += [*_circles(files["ros2"], registry), *_circles(files["ros1"], registry.ros1)]
     if problems:
         raise InterfaceFilesError(problems)
     return replace(merged, unread=tuple(path for package in packages for path in _unread_files(package.folder)))
 
 
 class _PackageReader:
-    """Finds packages and reads their files, within the limits of all folders together."""
+    """Finds packages and reads their files."""
 
     def __init__(self) -> None:
         self.problems: list[Flaw] = []
-        self._files_left = MAX_FILES
-        self._folders_left = MAX_FOLDERS
         # Real paths of the folders that were read: symbolic links may lead in a circle.
         self._seen: set[Path] = set()
 
@@ -144,11 +120,6 @@ class _PackageReader:
         if (place := folder.resolve()) in self._seen:
             return
         self._seen.add(place)
-        self._folders_left -= 1
-        if self._folders_left < 0:
-            if self._folders_left == -1:
-                self._refuse(folder, f"more than {MAX_FOLDERS} folders to look through; name the packages one by one")
-            return
         try:
             names = sorted(each.name for each in folder.iterdir())
         except OSError as error:
@@ -166,10 +137,6 @@ class _PackageReader:
     def _read_package(self, folder: Path) -> _Package | None:
         paths = [(kind, path) for kind in _KINDS for path in _interface_files(folder, kind)]
         if not paths:
-            return None
-        self._files_left -= len(paths)
-        if self._files_left < 0:
-            self._refuse(folder, f"more than {MAX_FILES} interface files in all folders together")
             return None
         name, generation = self._identity(folder)
         texts = [(kind, path, text) for kind, path in paths if (text := self._text(path)) is not None]
@@ -189,7 +156,7 @@ class _PackageReader:
                 return name, None
             name = (root.findtext("name") or name).strip()
             generation = _generation(root)
-        if not PACKAGE_NAME.fullmatch(name):
+        if not NAME.fullmatch(name):
             place = manifest if manifest.is_file() else folder
             sentence = "wanted a package's name of letters, digits and underscores"
             self.problems.append(Flaw(place, None, name, sentence))
@@ -197,16 +164,11 @@ class _PackageReader:
 
     def _text(self, path: Path) -> str | None:
         try:
-            with path.open("rb") as stream:
-                octets = stream.read(MAX_FILE_BYTES + 1)
+            # Older packages have comments in other encodings, which are of no interest.
+            return path.read_text("utf-8", "replace")
         except OSError as error:
             self._refuse(path, f"cannot be read: {error.strerror}")
             return None
-        if len(octets) > MAX_FILE_BYTES:
-            self._refuse(path, f"has more than {MAX_FILE_BYTES} bytes, which no interface file has")
-            return None
-        # Older packages have comments in other encodings, which are of no interest.
-        return octets.decode("utf-8", "surrogateescape")
 
     def _refuse(self, path: Path, sentence: str) -> None:
         self.problems.append(Flaw(path, None, "", sentence))
@@ -248,22 +210,16 @@ def _table(files: Iterable[InterfaceFile], problems: list[Flaw]) -> dict[str, De
     return {name: file.definition for name, file in first.items()}
 
 
-def _merged(tables: Mapping[Generation, dict[str, Definition]], own_packages: Collection[str]) -> UserInterfaces:
-    """Return the types without those that are packaged alike, and without those that stay as they are packaged."""
+def _merged(tables: Mapping[Generation, dict[str, Definition]]) -> UserInterfaces:
+    """Return the types without those that are packaged."""
     packages = tuple(sorted({name.split("/")[0] for table in tables.values() for name in table}))
-    own = {"ros2": read_ros2(), "ros1": read_ros1()}
-    user = {"ros2": tables["ros2"], "ros1": dict(with_action_messages(tables["ros1"]))}
-    kept, replaced = set(), set()
-    for generation, table in user.items():
-        for name in [name for name in table if name in own[generation]]:
-            if same_definition(own[generation][name], table[name]):
-                del table[name]
-            elif name.split("/")[0] in own_packages:
-                del table[name]
-                kept.add(name)
-            else:
-                replaced.add(name)
-    return UserInterfaces(user["ros2"], user["ros1"], packages, tuple(sorted(kept)), tuple(sorted(replaced)))
+    user, packaged = (tables["ros2"], with_action_messages(tables["ros1"])), (read_ros2(), read_ros1())
+    known = {name for table, own in zip(user, packaged, strict=True) for name in table if name in own}
+    ros2, ros1 = (
+        {name: definition for name, definition in table.items() if name not in own}
+        for table, own in zip(user, packaged, strict=True)
+    )
+    return UserInterfaces(ros2, ros1, packages, tuple(sorted(known)))
 
 
 def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterator[Flaw]:
@@ -281,54 +237,27 @@ def _unknown_types(files: Iterable[InterfaceFile], registry: Registry) -> Iterat
             yield Flaw(file.path, reference.line, reference.text, f"type {name} is unknown{hint}")
 
 
-class _Sizes:
-    """Number of values in messages, for which no type may contain itself."""
-
-    def __init__(self, registry: Registry) -> None:
-        self._registry = registry
-        # Of a type: values without lists, and values of one in which nothing is set.
-        self._counted: dict[str, tuple[int, int]] = {}
-
-    def problems(self, files: Iterable[InterfaceFile]) -> Iterator[Flaw]:
-        for file in files:
-            try:
-                for message in self._messages(file):
-                    self._count(message.name, ())
-            except _UnusableTypeError as error:
-                yield Flaw(file.path, None, "", str(error))
-
-    def _messages(self, file: InterfaceFile) -> list[MessageType]:
-        if file.definition["kind"] == "msg":
-            return [self._registry.message(file.name)]
+def _circles(files: Iterable[InterfaceFile], registry: Registry) -> Iterator[Flaw]:
+    """Return the files whose types contain themselves."""
+    for file in files:
         members = [member.title() for member in file.definition if member != "kind"]
-        return [self._registry.message(f"{file.name}_{member}") for member in members]
-
-    def _count(self, name: str, inside: tuple[str, ...]) -> tuple[int, int]:
-        if name in inside:
-            circle = (*inside[inside.index(name) :], name)
-            raise _UnusableTypeError(f"a type may not contain itself: {' contains '.join(map(_spell, circle))}")
-        counted = self._counted.get(name)
-        if counted is not None:
-            return counted
-        if len(inside) > MAX_NESTING:
-            raise _UnusableTypeError(f"{_spell(inside[0])} has messages in messages, more than {MAX_NESTING} deep")
-        fields = defaults = 0
-        for each in self._registry.message(name).fields:
-            inner_fields, inner_defaults = (1, 1) if each.primitive else self._count(each.base, (*inside, name))
-            fields += inner_fields if each.array is None else 1
-            defaults += inner_defaults * (1 if each.array is None else each.array.min_length)
-        for count, limit, what in (
-            (fields, MAX_FIELDS, "fields"),
-            (defaults, MAX_DEFAULT_VALUES, "values in its arrays of fixed size"),
-        ):
-            if count > limit:
-                raise _UnusableTypeError(f"{_spell(name)} has {count} {what}, more than {limit}")
-        self._counted[name] = fields, defaults
-        return fields, defaults
+        is_message = file.definition["kind"] == "msg"
+        names = [file.name] if is_message else [f"{file.name}_{member}" for member in members]
+        circle = next(filter(None, (_circle(registry, name, (), set()) for name in names)), ())
+        if circle:
+            sentence = f"a type may not contain itself: {' contains '.join(map(_spell, circle))}"
+            yield Flaw(file.path, None, "", sentence)
 
 
-class _UnusableTypeError(Exception):
-    """A type that contains itself, or is too large."""
+def _circle(registry: Registry, name: str, inside: tuple[str, ...], looked_at: set[str]) -> tuple[str, ...]:
+    """Return the names along which a message type contains itself; none where it does not."""
+    if name in inside:
+        return (*inside[inside.index(name) :], name)
+    if name in looked_at:
+        return ()
+    looked_at.add(name)
+    bases = (each.base for each in registry.message(name).fields if not each.primitive)
+    return next(filter(None, (_circle(registry, base, (*inside, name), looked_at) for base in bases)), ())
 
 
 def _spell(name: str) -> str:

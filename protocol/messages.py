@@ -35,7 +35,6 @@ class MessageBudget(threading.local):
         self.renew("", MAX_VALUES, MAX_VALUES)
 
     def renew(self, type_name: str, max_values: int, max_values_at_once: int) -> None:
-        """Begin with a message."""
         self._type_name = type_name
         self._max_values = self._left = max_values
         self._at_once_left = max_values_at_once
@@ -46,7 +45,6 @@ class MessageBudget(threading.local):
         return self._max_values - self._left
 
     def take(self, count: int) -> None:
-        """Take a number of values."""
         self._left -= count
         self._at_once_left -= count
         if self._left < 0:
@@ -108,7 +106,6 @@ class Stamp(NamedTuple):
         return cls(*divmod(min(max(nanoseconds, _EARLIEST_NS), _LATEST_NS), 1_000_000_000))
 
     def as_message(self) -> dict[str, int]:
-        """Return the builtin_interfaces/Time."""
         return {"sec": self.sec, "nanosec": self.nanosec}
 
 

@@ -32,7 +32,6 @@ MAX_NAME_CHARACTERS = 255
 # Clients use UUIDs or topic names with a prefix; the id of every subscription is kept.
 MAX_ID_CHARACTERS = 512
 
-# Of tokens, and of proofs of them.
 MAX_SECRET_CHARACTERS = 512
 
 Name: TypeAlias = Annotated[
@@ -71,16 +70,11 @@ Seconds: TypeAlias = Annotated[
 FragmentSize: TypeAlias = Annotated[
     Annotated[int, Field(gt=0)] | None, Field(description="a number of characters > 0, or null")
 ]
-ShortText: TypeAlias = Annotated[
-    str, Field(max_length=MAX_NAME_CHARACTERS, description=f"text of up to {MAX_NAME_CHARACTERS} characters")
-]
-OptionalSecret: TypeAlias = Annotated[
-    Annotated[str, Field(max_length=MAX_SECRET_CHARACTERS)] | None,
-    Field(repr=False, description=f"text of up to {MAX_SECRET_CHARACTERS} characters"),
-]
-# Up to the year 9999; larger ones cannot be written as a time.
-UnixSeconds: TypeAlias = Annotated[
-    float, Field(ge=0, le=253_402_300_799, allow_inf_nan=False, description="seconds since 1970, >= 0")
+Secret: TypeAlias = Annotated[
+    str,
+    Field(
+        max_length=MAX_SECRET_CHARACTERS, repr=False, description=f"text of up to {MAX_SECRET_CHARACTERS} characters"
+    ),
 ]
 Flag: TypeAlias = Annotated[bool, Field(description="true or false")]
 # rosbridge takes whatever Python counts as true; a text that says no is meant so.
@@ -270,17 +264,10 @@ class Png(Operation):
 
 
 class Auth(Operation):
-    """Authenticate by a token or by rosauth's proof of one: ``mac``, the SHA-512 of token and other fields."""
+    """Authenticate by a token; rosauth's proofs, as of ROS 1's rosbridge, are not taken."""
 
     op: Literal["auth"] = "auth"
-    token: OptionalSecret = None
-    mac: OptionalSecret = None
-    client: ShortText = ""
-    dest: ShortText = ""
-    rand: ShortText = ""
-    t: UnixSeconds = 0.0
-    level: ShortText = ""
-    end: UnixSeconds = 0.0
+    token: Secret
 
 
 class SetLevel(Operation):
@@ -325,8 +312,8 @@ def _refusal(op: Any, model: type[Operation], value: dict[str, Any], error: Vali
     """Turn the first of pydantic's findings into one line."""
     # A field of several types yields one finding for each; all of them are about the same field.
     field = str(error.errors(include_url=False)[0]["loc"][0])
-    if not model.model_fields[field].repr:
-        return OperationError(op, field, f"wanted {model.model_fields[field].description}; what came is not shown")
-    wanted = model.model_fields[field].description
-    got = describe(value[field]) if field in value else "none"
-    return OperationError(op, field, f"wanted {wanted}, got {got}")
+    wanted = f"wanted {model.model_fields[field].description}"
+    if field not in value:
+        return OperationError(op, field, f"{wanted}, got none")
+    got = f", got {describe(value[field])}" if model.model_fields[field].repr else "; what came is not shown"
+    return OperationError(op, field, wanted + got)

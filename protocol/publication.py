@@ -109,7 +109,6 @@ class EncodedMessage:
 
     @property
     def frames(self) -> tuple[Frame, ...]:
-        """The frames."""
         wire = (b"".join(self.wire),) if self.frame_count == 1 else self.wire
         return tuple(Frame(each[_HEADER_BYTES.get(each[1], 2) :], text=each[0] == _TEXT) for each in wire)
 
@@ -145,9 +144,9 @@ class PublishedMessage:
         "_encoded",
         "_light",
         "_msg",
-        "_received",
         "_registry",
         "publisher",
+        "received",
         "sequence_number",
         "topic",
         "type_name",
@@ -159,7 +158,7 @@ class PublishedMessage:
         type_name: str,
         msg: Mapping[str, Any] | bytes,
         registry: Registry,
-        received: Stamp | float,
+        received: Stamp,
         publisher: object = None,
         cost_bytes: int | None = None,
         *,
@@ -172,7 +171,7 @@ class PublishedMessage:
         self._registry = registry
         self._cost_bytes = cost_bytes
         self._light = light
-        self._received = received
+        self.received = received
         # Subscribers spell a topic with or without its leading slash: two spellings of each encoding and dialect.
         self._by_key: dict[_Key, EncodedMessage] = {}
         # The message alone, the costly part, which frames of all spellings share.
@@ -191,13 +190,6 @@ class PublishedMessage:
             decoded: Any = json.decode(self._encoded["none", "ros2"])
             self._msg = decoded
         return self._msg
-
-    @property
-    def received(self) -> Stamp:
-        """When the message came."""
-        if not isinstance(self._received, Stamp):
-            self._received = Stamp.from_seconds(self._received)
-        return self._received
 
     @property
     def size_bytes(self) -> int:

@@ -36,7 +36,6 @@ ROS1_TIMES: Table = {
 
 
 def read_ros2() -> Table:
-    """Read the ROS 2 table."""
     return _read("ros2.json")
 
 
@@ -49,21 +48,6 @@ def with_action_messages(table: Table) -> Table:
     """Return a table of ROS 1 with the messages of its actions."""
     messages = {name: row for action in table for name, row in _action_messages(action, table[action]).items()}
     return {**messages, **table}
-
-
-def same_definition(one: Definition, other: Definition) -> bool:
-    """Return True for definitions that declare the same, however their values are spelled."""
-    return bool(_normalized(one) == _normalized(other))
-
-
-def _normalized(definition: Definition) -> Any:
-    if definition["kind"] != "msg":
-        return {
-            key: part if key == "kind" else _normalized({"kind": "msg", **part}) for key, part in definition.items()
-        }
-    rows = definition["fields"]
-    fields = [(name, declared, *(_default(declared, text) for text in rest)) for name, declared, *rest in rows]
-    return fields, [(base, name, _value(base, text)) for base, name, text in definition["consts"]]
 
 
 def _read(file_name: str) -> Table:
@@ -158,7 +142,6 @@ class Field:
 
     @property
     def primitive(self) -> bool:
-        """True when the base is a primitive type, not a message."""
         return self.base in PRIMITIVES
 
 
@@ -225,7 +208,6 @@ class Registry:
         return (name for name in self._table if name not in ROS1_TIMES)
 
     def knows(self, name: str, kind: Kind = "msg") -> bool:
-        """Return True for a known type of this name and kind."""
         definition = self._find(_canonical(name, kind))
         return definition is not None and definition["kind"] == kind
 

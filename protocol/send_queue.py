@@ -47,13 +47,11 @@ class SendBudget:
         self._holders.setdefault(holder)
 
     def release(self, holder: SendQueue, size_bytes: int, *, empty: bool) -> None:
-        """Count bytes that wait no more."""
         self.used_bytes -= size_bytes
         if empty:
             self._holders.pop(holder, None)
 
     def note_reading(self, holder: SendQueue) -> None:
-        """Note that a client takes data."""
         if holder in self._holders:
             self._holders.move_to_end(holder)
 
@@ -129,17 +127,14 @@ class SendQueue:
 
     @property
     def empty(self) -> bool:
-        """True when nothing waits."""
         return not (self._waiting or self._replies)
 
     @property
     def has_topic_data(self) -> bool:
-        """True while topic data waits."""
         return bool(self._waiting)
 
     @property
     def reply_bytes(self) -> int:
-        """Size of the replies that wait [bytes]."""
         return self._bytes["replies"]
 
     @property
@@ -198,7 +193,6 @@ class SendQueue:
             self._drop_late(subscription, now)
 
     def drop_oldest(self) -> None:
-        """Drop the oldest topic data."""
         oldest = (next(iter(lane.values())) for lane in (self._free, self._bulky, self._paced) if lane)
         self._drop(min(oldest, key=_SEQUENCE))
 

@@ -7,7 +7,7 @@ and of advertisements alike, count against one limit.
 """
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -27,15 +27,10 @@ class Registrations(Generic[T]):
         self._count = 0
         self._entries: dict[str, dict[Mark, T]] = {}
 
-    def __iter__(self) -> Iterator[str]:
-        """Go over the topics, by fully qualified name; the table may change meanwhile."""
-        return iter(list(self._entries))
-
     def __contains__(self, topic: str) -> bool:
         return qualify(topic) in self._entries
 
     def entries(self, topic: str) -> Collection[T]:
-        """Return the operations of all ids on a topic."""
         return self._entries.get(qualify(topic), {}).values()
 
     def add(self, operation: T) -> bool:
@@ -101,7 +96,6 @@ class Subscription:
         return self.throttle_s > 0 and self.queue_length == 0
 
     def merge(self, asked: Collection[Subscribe]) -> None:
-        """Serve the requests of all ids."""
         self.throttle_s = min(each.throttle_rate for each in asked) / 1000
         self.queue_length = min(each.queue_length for each in asked)
         self.compression = min((each.encoding for each in asked), key=COMPRESSIONS.index)

@@ -31,6 +31,7 @@ from protocol.registry import (
 _SEPARATOR = "=" * 80
 
 
+@functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def full_text(registry: Registry, type_name: str, dialect: Dialect = "ros2") -> str:
     """Return a message type's text followed by the texts of all message types in it."""
     main, *dependencies = _with_dependencies(registry, type_name, dialect)
@@ -179,7 +180,6 @@ _Row: TypeAlias = dict[str, Any]
 
 @functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def message_hash(registry: Registry, name: str) -> str:
-    """Return the hash of a message type, with its prefix."""
     canonical = registry.canonical(name)
     return _hash(canonical, _with_nested(registry, canonical))
 

@@ -69,7 +69,6 @@ def to_bool(value: object) -> bool:
 
 
 def to_float64(value: object) -> float:
-    """Take a number or null."""
     if type(value) is float:
         return value
     if value is None:
@@ -91,7 +90,6 @@ def to_float32(value: object) -> float:
 
 
 def converter(name: str, max_length: int | None = None) -> Convert:
-    """Return the converter of a primitive type."""
     if name in INTEGER_RANGES:
         return _integer_converter(name)
     if name in TEXTS:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import logging
+import os
 import re
+import socket
+import stat
 import sys
 import time
 import weakref
@@ -41,12 +45,50 @@ MAX_CHANGED_LOGGERS = 100  # loggers whose levels can be changed; the program ha
 
 def configure(level: int | str, log_format: LogFormat, process: str = "server", arm: str = "") -> None:
     """Log to standard error; to be called once in each process. The arm's name begins the message of plain lines."""
-    handler = logging.StreamHandler(sys.stderr)
+    try:
+        handler: logging.Handler = StderrHandler()
+    except (OSError, AttributeError):
+        # The terminal of another user, or no file, as in tests and where it is closed.
+        handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter(process) if log_format == "json" else PlainFormatter(arm))
     handler.addFilter(FloodFilter())
     logging.basicConfig(level=level, handlers=[handler])
     if log_format == "json":
         sys.excepthook = _log_exception
+
+
+class StderrHandler(logging.Handler):
+    """Handler of standard error that leaves lines out rather than wait; raises OSError where that is impossible.
+
+    A terminal that Ctrl-S holds, or a pipe that nobody reads, would keep the server from a stop, and the arm from its
+    ticks.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        descriptor = sys.stderr.fileno()
+        mode = os.fstat(descriptor).st_mode
+        self._left_out = 0
+        if stat.S_ISSOCK(mode):
+            # The journal's.
+            journal = socket.socket(fileno=os.dup(descriptor))
+            self._write: Callable[[bytes], int] = lambda line: journal.send(line, socket.MSG_DONTWAIT)
+            return
+        if not stat.S_ISREG(mode):
+            # Opened again, since the shell shares the flags of what it has opened; a file has room.
+            path = f"/proc/self/fd/{descriptor}"
+            descriptor = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+        self._write = functools.partial(os.write, descriptor)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        record.suppressed = getattr(record, "suppressed", 0) + self._left_out
+        try:
+            self._write(f"{self.format(record)}\n".encode(errors="backslashreplace"))
+            self._left_out = 0
+        except OSError:
+            self._left_out += 1
+        except Exception:  # noqa: BLE001 - as every handler: a wrong line must not end what logs it
+            self.handleError(record)
 
 
 def format_in_use() -> LogFormat:

@@ -59,6 +59,16 @@ class Trajectory:
         arrays = self.positions_rad, self.velocities_rad_s, self.accelerations_rad_s2
         return Trajectory(joint_names, self.time_s, *(array[:, columns] for array in arrays))
 
+    def then(self, motion: Trajectory) -> Trajectory:
+        """Return this motion followed by one of the same joints, which begins where this one ends."""
+        return Trajectory(
+            self.joint_names,
+            np.concatenate((self.time_s, motion.time_s[1:] + self.duration_s)),
+            np.vstack((self.positions_rad, motion.positions_rad[1:])),
+            np.vstack((self.velocities_rad_s, motion.velocities_rad_s[1:])),
+            np.vstack((self.accelerations_rad_s2, motion.accelerations_rad_s2[1:])),
+        )
+
     def sample(self, time_s: float) -> tuple[Vector, Vector, Vector]:
         """Interpolate by cubic Hermite polynomials: position, velocity and acceleration, each of shape (joints,)."""
         if time_s >= self.duration_s:

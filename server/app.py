@@ -5,6 +5,7 @@ import logging
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,7 +50,6 @@ from server.lifecycle import (
     BackgroundTask,
     Feature,
     Part,
-    Together,
     on_hangup,
     start_in_order,
     stop_in_reverse,
@@ -150,11 +150,11 @@ class App:
             self._cameras = cameras_of(context, self._physics)
         made = (MoveGroup, ArmGoals, teaching_of, GoalQueueing, Servo, teleoperation_of, PolicyChunks)
         goals = [make(context) for make in made]
-        self.features = self._in_order_of_start(commissioning, parkings, Together("goals", goals, 1.1))
-        self._arms.connect([each for each in (*self.features, *goals) if isinstance(each, Feature)])
+        self.features = self._in_order_of_start(commissioning, parkings, goals)
+        self._arms.connect([each for each in self.features if isinstance(each, Feature)])
 
     def _in_order_of_start(
-        self, commissioning: CommissioningOfArms, parkings: Parkings, goals: Together
+        self, commissioning: CommissioningOfArms, parkings: Parkings, goals: Sequence[Feature]
     ) -> tuple[Feature | Part, ...]:
         """Return all features and parts in the order of their start.
 
@@ -180,7 +180,7 @@ class App:
             # It has its own limits, by its own clock: a simulated arm is slow where the machine is busy.
             Part("the arm", arm.launch, lambda: arm.close(arrival_epoch()), ARM_STOP_S, beyond_total=True),
             parkings,
-            goals,
+            *goals,
             commissioning,
             # Not before the goals: what other machines may command or stop is known by the rules of its names.
             *([] if zenoh is None else [Part("zenoh", start=zenoh.start)]),

@@ -8,9 +8,9 @@ import re
 from dataclasses import fields
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BeforeValidator, Field, FiniteFloat, field_validator, model_validator
+from pydantic import Field, FiniteFloat, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from robot.messages import MIN_SPEED_LIMIT, EmergencyPolicy, EndState, GuardLimits
@@ -22,26 +22,13 @@ from server.moveit.parameters import MoveItParameters
 from server.zenoh.settings import ZenohSettings
 
 
-def _no_cluster(value: object) -> object:
-    if isinstance(value, str) and "://" in value:
-        raise ValueError(
-            "must be 1 to 16: a server plans on its own machine only; a Dask cluster plans batches of problems, by"
-            " armbridge plan FILE --scheduler tcp://HOST:PORT"
-        )
-    return value
-
-
 class PlanningSettings(SettingsSection):
     """Planner processes."""
 
-    workers: Annotated[int, BeforeValidator(_no_cluster)] = Field(default=1, ge=1, le=16)
+    workers: int = Field(default=1, ge=1, le=16)
     """goals planned at the same time; one more process helps with hard motions."""
     memory_limit_mb: int = Field(default=1024, ge=256, le=65536)
     """memory of each planner process, which is restarted when it needs more [MB]."""
-    save_failed_goals: Path | None = None
-    """directory for goals that could not be planned, as files for ``armbridge plan``."""
-    keep_failed_goals: int = Field(default=100, ge=1, le=100_000)
-    """newest files of failed goals to keep."""
 
     @property
     def memory_limit_bytes(self) -> int:

@@ -10,39 +10,6 @@ from server.errors import ConfigurationError
 
 log = logging.getLogger("armbridge.interfaces")
 
-# Packages whose types the server itself sends and reads, with those that these are made of. Its parts are written for
-# the fields that the packaged definitions have.
-OWN_PACKAGES = frozenset(
-    (
-        "action_msgs",
-        "actionlib_msgs",
-        "armbridge_msgs",
-        "builtin_interfaces",
-        "control_msgs",
-        "diagnostic_msgs",
-        "file_server",
-        "geometry_msgs",
-        "moveit_msgs",
-        "object_recognition_msgs",
-        "octomap_msgs",
-        "rcl_interfaces",
-        "rosapi",
-        "rosapi_msgs",
-        "rosbridge_msgs",
-        "rosgraph_msgs",
-        "sensor_msgs",
-        "service_msgs",
-        "shape_msgs",
-        "std_msgs",
-        "std_srvs",
-        "tf2_msgs",
-        "tf2_web_republisher",
-        "trajectory_msgs",
-        "unique_identifier_msgs",
-        "visualization_msgs",
-    )
-)
-
 # Names in a line of the log; the rest are counted.
 MAX_NAMES_TOLD = 10
 
@@ -55,22 +22,17 @@ def load_registry(folders: Sequence[Path]) -> Registry:
     from protocol.interface_packages import read_packages
 
     try:
-        interfaces = read_packages(folders, OWN_PACKAGES)
+        interfaces = read_packages(folders)
     except InterfaceFilesError as error:
         raise ConfigurationError(f"server.interfaces: {error}") from error
     packages, count = interfaces.packages, len(interfaces.ros1) + len(interfaces.ros2)
-    added = count - len(interfaces.replaced)
-    log.info("interfaces of %d packages read: %s; %d types added", len(packages), _told(packages), added)
+    log.info("interfaces of %d packages read: %s; %d types added", len(packages), _told(packages), count)
     if interfaces.unread:
         unread = _told([str(path) for path in interfaces.unread])
         log.warning("interface files in folders that are not read: %s", unread)
-    if interfaces.replaced:
-        log.info("%d types replace armbridge's: %s", len(interfaces.replaced), _told(interfaces.replaced))
-    if interfaces.kept:
-        log.warning(
-            "%d types of these packages differ from those that armbridge itself uses, which stay: %s",
-            len(interfaces.kept),
-            _told(interfaces.kept),
+    if interfaces.known:
+        log.info(
+            "%d types of these packages stay as armbridge has them: %s", len(interfaces.known), _told(interfaces.known)
         )
     return interfaces.registry()
 

@@ -75,23 +75,6 @@ class Feature:
         return False
 
 
-class Together(Feature):
-    """Features that are started in order, and stopped in reverse within one deadline."""
-
-    def __init__(self, name: str, features: Sequence[Feature], deadline_s: float) -> None:
-        self.name = name
-        self.deadline_s = deadline_s
-        self._features = features
-
-    async def start(self) -> None:
-        for feature in self._features:
-            await feature.start()
-
-    async def stop(self) -> None:
-        for feature in reversed(self._features):
-            await _stop_and_log(feature)
-
-
 class BackgroundTask(Feature):
     """A coroutine that runs beside the others from its start to its stop; the log says at once if it fails."""
 

@@ -143,11 +143,10 @@ class FileSeries:
     suffix: str
     max_files: int
 
-    def add(self, name: str, content: Callable[[str], bytes]) -> Path:
+    def add(self, name: str, content: Callable[[], bytes]) -> Path:
         """Write a file; a crash, and an OSError, leave all of it or nothing.
 
-        The name stands between prefix and suffix; a number is added when there is such a file. The content is made for
-        the name of the file without its suffix.
+        The name stands between prefix and suffix; a number is added when there is such a file.
         """
         # A file of this name in the directory stands for its lock.
         with files.locked(self.directory / self.prefix.rstrip("-")):
@@ -155,7 +154,7 @@ class FileSeries:
             while path.exists():
                 number += 1
                 path = self.directory / f"{self.prefix}{name}-{number}{self.suffix}"
-            files.replace(path, content(path.stem))
+            files.replace(path, content())
             # The new one stays also where its name is not the last: the clock that names it may be set back.
             others = [each for each in self.paths() if each != path]
             for oldest in others[: max(len(others) + 1 - self.max_files, 0)]:

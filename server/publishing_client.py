@@ -1,4 +1,4 @@
-"""Rosbridge client that publishes on topics of a server elsewhere, on one connection after the other."""
+"""Rosbridge client that publishes on a topic of a server elsewhere, on one connection after the other."""
 
 import asyncio
 import contextlib
@@ -16,6 +16,9 @@ OPEN_TIMEOUT_S = 10.0
 # Times between two attempts to connect: doubled after each, up to the second.
 FIRST_DELAY_S, LAST_DELAY_S = 0.5, 5.0
 
+# What a server answers to a client that only publishes is short.
+MAX_ANSWER_BYTES = 1_000_000
+
 # Each complaint is printed once.
 MAX_COMPLAINTS = 20
 
@@ -30,15 +33,14 @@ class PublishedTopic:
 
 
 class PublishingClient(ABC):
-    """Client of a server that publishes on one topic, or on others of these types beside it."""
+    """Client of a server that publishes messages of one type."""
 
-    max_answer_bytes = 1_000_000  # what a server answers to a client that only publishes is short
     finite = False  # True if the messages end of themselves
 
-    def __init__(self, target: PublishedTopic, types: Mapping[str, str], tell: Callable[[str], None]) -> None:
+    def __init__(self, target: PublishedTopic, type_name: str, tell: Callable[[str], None]) -> None:
         self.published = 0
         self._target = target
-        self._types = types
+        self._type_name = type_name
         self._tell = tell
         self._complaints: set[str] = set()
 
@@ -56,9 +58,9 @@ class PublishingClient(ABC):
         while not self.ended:
             before = self.published
             try:
-                async with connect(url, open_timeout=OPEN_TIMEOUT_S, max_size=self.max_answer_bytes) as websocket:
+                async with connect(url, open_timeout=OPEN_TIMEOUT_S, max_size=MAX_ANSWER_BYTES) as websocket:
                     self._tell(f"connected to {url}")
-                    listening = asyncio.create_task(self.listen(websocket))
+                    listening = asyncio.create_task(self._listen(websocket))
                     try:
                         await self.announce(websocket)
                         await self.publish(websocket)
@@ -75,19 +77,19 @@ class PublishingClient(ABC):
     async def announce(self, connection: ClientConnection) -> None:
         if self._target.token is not None:
             await connection.send(json.dumps({"op": "auth", "token": self._target.token}))
-        for topic, type_name in self._types.items():
-            await connection.send(json.dumps({"op": "advertise", "topic": topic, "type": type_name}))
+        topic = {"topic": self._target.topic, "type": self._type_name}
+        await connection.send(json.dumps({"op": "advertise", **topic}))
 
-    async def send(self, connection: ClientConnection, message: Mapping[str, Any], topic: str = "") -> None:
-        await connection.send(json.dumps({"op": "publish", "topic": topic or self._target.topic, "msg": message}))
+    async def send(self, connection: ClientConnection, message: Mapping[str, Any]) -> None:
+        await connection.send(json.dumps({"op": "publish", "topic": self._target.topic, "msg": message}))
 
-    async def listen(self, connection: ClientConnection) -> None:
+    async def _listen(self, connection: ClientConnection) -> None:
         """Tell complaints of the server for as long as the connection lasts."""
         async for frame in connection:
             with contextlib.suppress(ValueError):
-                self.complain(json.loads(frame))
+                self._complain(json.loads(frame))
 
-    def complain(self, answer: Any) -> None:
+    def _complain(self, answer: Any) -> None:
         """Tell what a status message with an error or a warning says, once; do nothing for any other message."""
         if isinstance(answer, dict) and answer.get("op") == "status" and answer.get("level") in ("error", "warning"):
             complaint = str(answer.get("msg", ""))

@@ -39,9 +39,6 @@ MEMBERS: tuple[tuple[str, Kind, tuple[str, ...]], ...] = (
 # client that advertises thousands of topics would make every response expensive for everybody.
 MAX_TEXTS_CHARACTERS = 4 << 20
 
-# Descriptions of types that are kept, those last asked for; one has 15 kB on average, the largest 120.
-MAX_DETAILS = 512
-
 # Names of nodes that are kept as ROS spells them: far more than clients connect.
 MAX_NODE_NAMES = 8192
 
@@ -94,9 +91,6 @@ class RosApi:
         self._graph = graph
         self._services = graph.services
         self._registry = graph.message_types.registry
-        # Foxglove asks for the texts of all topics every three seconds; there are no more types than the registry has.
-        self._texts: dict[tuple[str, Dialect], str] = {}
-        self._details = functools.lru_cache(MAX_DETAILS)(self._make_details)
         handlers = self._of_topics() | self._of_services() | self._of_types() | self.parameters.handlers
         for name, handler in handlers.items():
             rule = CONFIGURING if name in CHANGING else LOOKING
@@ -106,9 +100,9 @@ class RosApi:
     def _of_topics(self) -> Handlers:
         graph, topics = self._graph, self._graph.topic_names
         return {
-            "topics": Latest(topics, self._topics),
+            "topics": lambda request: self._topics(request.dialect),
             "topics_for_type": lambda request: {"topics": _shown(topics.of_type(request.values["type"]))},
-            "topics_and_raw_types": Latest(topics, self._topics_and_raw_types),
+            "topics_and_raw_types": self._topics_and_raw_types,
             "topic_type": _type_answer(topics, "topic"),
             "publishers": lambda request: {"publishers": _node_names(graph.publishers(request.name("topic")))},
             "subscribers": lambda request: {"subscribers": _node_names(graph.subscribers(request.name("topic")))},
@@ -119,14 +113,14 @@ class RosApi:
     def _of_services(self) -> Handlers:
         services, actions, providers = self._services.names, self._graph.actions.names, self._services.providers_of_type
         return {
-            "services": Latest(services, lambda _: {"services": _shown(services.types())}),
+            "services": lambda _: {"services": _shown(services.types())},
             "services_for_type": lambda request: {"services": _shown(services.of_type(request.values["type"]))},
             "service_type": _type_answer(services, "service"),
             # The field ``service`` has a type, as in rosapi.
             "service_providers": lambda request: {"providers": _node_names(providers(request.values["service"]))},
             "service_node": self._service_node,
             "service_host": self._service_host,
-            "action_servers": Latest(actions, lambda _: {"action_servers": sorted(actions.types())}),
+            "action_servers": lambda _: {"action_servers": sorted(actions.types())},
             "action_type": _type_answer(actions, "action"),
         }
 
@@ -149,19 +143,15 @@ class RosApi:
         shown = [name for name in types if not _is_hidden(name)]
         return {"topics": shown, "types": [types[name] for name in shown]}
 
-    def _topics_and_raw_types(self, dialect: Dialect) -> dict[str, Any]:
-        types = [type_name for name, type_name in self._graph.topic_names.types().items() if not _is_hidden(name)]
-        texts = {type_name: self._full_text(type_name, dialect) for type_name in set(types)}
-        return {**self._topics(dialect), "typedefs_full_text": _limited([texts[type_name] for type_name in types])}
-
-    def _full_text(self, type_name: str, dialect: Dialect) -> str:
-        if not self._registry.knows(type_name):
-            # A type that is relayed without being known.
-            return ""
-        text = self._texts.get((type_name, dialect))
-        if text is None:
-            text = self._texts[type_name, dialect] = full_text(self._registry, type_name, dialect)
-        return text
+    def _topics_and_raw_types(self, request: Request) -> dict[str, Any]:
+        answer, known = self._topics(request.dialect), self._graph.topic_names.types()
+        types = [known[name] for name in answer["topics"]]
+        # A type that is relayed without being known has no text.
+        texts = {
+            name: full_text(self._registry, name, request.dialect) if self._registry.knows(name) else ""
+            for name in set(types)
+        }
+        return {**answer, "typedefs_full_text": _limited([texts[name] for name in types])}
 
     def _service_node(self, request: Request) -> dict[str, Any]:
         provider = self._services.provider(request.name("service"))
@@ -185,7 +175,7 @@ class RosApi:
     def _details_answer(self, kind: Kind, member: str) -> Handler:
         return lambda request: self._details(request.values["type"], kind, member, request.dialect)
 
-    def _make_details(self, name: str, kind: Kind, member: str, dialect: Dialect) -> dict[str, Any]:
+    def _details(self, name: str, kind: Kind, member: str, dialect: Dialect) -> dict[str, Any]:
         try:
             message = f"{self._registry.canonical(name, kind)}{member}"
             return {"typedefs": typedefs(self._registry, message, dialect)}
@@ -195,23 +185,6 @@ class RosApi:
     def _interfaces(self, request: Request) -> dict[str, Any]:
         registry = self._registry.ros1 if request.dialect == "ros1" else self._registry
         return {"interfaces": sorted(spell_type(name, request.dialect) for name in registry.type_names())}
-
-
-class Latest:
-    """Response that is the same for all until the names in use change: made once for each change and dialect."""
-
-    def __init__(self, names: TypedNames, make: Callable[[Dialect], dict[str, Any]]) -> None:
-        self._names = names
-        self._make = make
-        self._made: dict[Dialect, tuple[int, dict[str, Any]]] = {}
-
-    def __call__(self, request: Request) -> dict[str, Any]:
-        """Return the response, the same object as before if nothing has changed."""
-        revision, response = self._made.get(request.dialect, (None, {}))
-        if revision != self._names.revision:
-            response = self._make(request.dialect)
-            self._made[request.dialect] = self._names.revision, response
-        return response
 
 
 class Parameters:

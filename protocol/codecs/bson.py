@@ -55,7 +55,6 @@ def encode(value: Mapping[str, Any]) -> bytes:
 
 
 def publish(topic: str, encoded_msg: bytes) -> bytes:
-    """Return the frame that publishes a message."""
     # Without its length and its closing zero, a document is the list of its elements.
     head = bson.encode({"op": "publish", "topic": topic})[4:-1]
     body = b"".join((head, _MSG_KEY, encoded_msg, b"\x00"))

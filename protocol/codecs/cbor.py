@@ -87,7 +87,6 @@ _MSG_KEY = cbor2.dumps("msg")
 
 
 def encode(msg: Mapping[str, Any]) -> bytes:
-    """Encode a message."""
     return b"".join(encoded_pieces(msg, _NOTATION))
 
 
@@ -102,5 +101,4 @@ _NOTATION = Notation(cbor2.dumps, functools.partial(_length, _MAP), functools.pa
 
 
 def publish(topic: str, encoded_msg: bytes) -> bytes:
-    """Return the frame that publishes a message."""
     return b"".join((_PUBLISH_HEAD, cbor2.dumps(topic), _MSG_KEY, encoded_msg))

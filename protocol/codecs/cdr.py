@@ -102,7 +102,6 @@ def _write_wide_text(body: bytearray, value: str) -> None:
 
 
 def primitive_writer(base: str, *, aligned: bool) -> Write:
-    """Return the writer of a number or truth value."""
     packing = struct.Struct("<?" if base == "bool" else f"<{CODES[base]}")
 
     def write(body: bytearray, value: Any) -> None:

@@ -57,7 +57,6 @@ class Notation:
 
 
 def json_notation(encode: Callable[[Any], bytes]) -> Notation:
-    """Return the notation of JSON."""
     return Notation(encode, lambda _length: b"{", lambda _length: b"[", b"}", b"]", b",", b":")
 
 

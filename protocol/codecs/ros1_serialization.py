@@ -17,7 +17,7 @@ from typing import Any
 
 from protocol.codecs.cdr import Write, field_writer, primitive_writer
 from protocol.dialect import declared_in_ros1, to_ros1
-from protocol.registry import MAX_COMPILED_TYPES, ROS1_TIMES, Field, Registry
+from protocol.registry import MAX_COMPILED_TYPES, ROS1_TIMES, TEXTS, Field, Registry
 
 _LENGTH = struct.Struct("<I")
 
@@ -54,7 +54,7 @@ def _element_writer(registry: Registry, field: Field) -> Write:
         return _write_time
     if not field.primitive:
         return _message_writer(registry, field.base)
-    return _write_text if field.base == "string" else primitive_writer(field.base, aligned=False)
+    return _write_text if field.base in TEXTS else primitive_writer(field.base, aligned=False)
 
 
 def _write_time(octets: bytearray, value: Mapping[str, int]) -> None:

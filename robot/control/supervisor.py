@@ -366,7 +366,8 @@ class Supervisor:
             self._answer(command.number, f"the arm is not connected: {self._reason}", done=False)
             return
         busy = self._task
-        if busy is not None and not urgent and (order is not Order.RELAX or busy.urgent):
+        # Begun again, relaxing would cut the torque that is being lowered.
+        if busy is not None and not urgent and (order is not Order.RELAX or busy.urgent or busy.name == RELAXING_ARM):
             self._answer(command.number, f"the arm is busy: {busy.name}", done=False)
             return
         starts: dict[Order, Callable[[], Steps[str]]] = {

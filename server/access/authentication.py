@@ -1,4 +1,4 @@
-"""Authentication: tokens and their owners, rosauth's proofs of them, and the throttle of guesses."""
+"""Authentication: tokens and their owners, and the throttle of guesses."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ import stat
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from hashlib import sha256, sha512
+from hashlib import sha256
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from protocol.operations import Auth
 from server.access.rate_limits import client_key
 from server.access.settings import MAX_TOKENS, AccessSettings
 from server.config_keys import read_toml
@@ -33,12 +32,6 @@ _ROLES = {
     "view_tokens": Role.VIEW,
 }
 _IN_FILE = frozenset({"token", *_ROLES})
-
-# As in rosauth: difference of the clocks, and age of a proof [s].
-GOOD_FOR_S = 5.0
-
-# Proofs that were used; only right ones are kept, each for twice `GOOD_FOR_S`.
-MAX_KEPT = 10_000
 
 # Wrong tokens from one address after which none is checked for the time of the window [s].
 MAX_WRONG = 10
@@ -90,40 +83,8 @@ class Tokens:
         return owner
 
     def secrets(self) -> Iterator[tuple[str, Identity]]:
-        """Return every token with its owner, for proofs that do not show it."""
+        """Return every token with its owner, for a report, which shows neither."""
         return ((token, identity) for _, token, identity in self._tokens)
-
-
-class RosauthVerifier:
-    """Verifier of rosauth's proofs of a token, which do not show it; each proof counts once."""
-
-    def __init__(self, tokens: Tokens) -> None:
-        self._tokens = tokens
-        self._seen: OrderedDict[str, float] = OrderedDict()
-
-    def identify(self, proof: Auth, now_s: float) -> Identity | str:
-        """Return the owner of the token that a proof was made with, or a sentence why the proof does not count."""
-        if abs(now_s - proof.t) > GOOD_FOR_S:
-            return f"field t: the proof was made {now_s - proof.t:+.0f} s ago by this server's clock, the limit is 5"
-        if now_s > proof.end:
-            return f"field end: the proof ended {now_s - proof.end:.0f} s ago by this server's clock"
-        mac, owner = (proof.mac or "").lower(), None
-        rest = f"{proof.client}{proof.dest}{proof.rand}{int(proof.t)}{proof.level}{int(proof.end)}"
-        for token, identity in self._tokens.secrets():
-            expected = sha512(f"{token}{rest}".encode(errors="surrogatepass")).hexdigest()
-            if hmac.compare_digest(expected.encode(), mac.encode(errors="surrogatepass")):
-                owner = identity
-        if owner is None:
-            return "field mac: it was made with an invalid token"
-        # Not by rand: fields stand in the text without a sign between them, and so could lend one another characters.
-        while self._seen and next(iter(self._seen.values())) < now_s:
-            self._seen.popitem(last=False)
-        if mac in self._seen:
-            return "field mac: this proof was used before; each is good once"
-        if len(self._seen) >= MAX_KEPT:
-            return f"field mac: {MAX_KEPT} proofs were used within {2 * GOOD_FOR_S:g} s, the limit; try again later"
-        self._seen[mac] = now_s + 2 * GOOD_FOR_S
-        return owner
 
 
 class AuthThrottle:

@@ -19,7 +19,7 @@ from protocol.operations import (
     Subscribe,
     qualify,
 )
-from server.access.authentication import RosauthVerifier, Tokens
+from server.access.authentication import Tokens
 from server.access.control_lease import ControlLease
 from server.access.one_time_tokens import VALID_FOR_S, OneTimeTokens
 from server.access.rate_limits import RateLimiter
@@ -261,8 +261,6 @@ class Access:
         self.params = NameFilter("access.params_glob", settings.params_glob)
         self.settings = settings
         self.clock = clock
-        self._wall_clock = wall_clock
-        self._rosauth = RosauthVerifier(self.tokens)
 
     def give_back(self, node: Node) -> None:
         for lease in (self.lease, *self.leases_of_arms.values()):
@@ -277,12 +275,7 @@ class Access:
 
     def identify(self, shown: Auth) -> Identity | str:
         """Return the identity that a client shows in the op ``auth``, or a sentence why it shows none."""
-        if shown.token is not None:
-            identity = self.tokens.identify(shown.token) or self.one_time_tokens.use(shown.token)
-            return identity or _NO_TOKEN
-        if shown.mac is None:
-            return "wanted the field token, or rosauth's mac, client, dest, rand, t, level and end; got neither"
-        return self._rosauth.identify(shown, self._wall_clock())
+        return self.tokens.identify(shown.token) or self.one_time_tokens.use(shown.token) or _NO_TOKEN
 
 
 def unlimited() -> Access:

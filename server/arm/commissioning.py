@@ -18,7 +18,6 @@ from robot.errors import RobotError
 from robot.messages import ArmHealth, ArmState
 from server.errors import ServiceError
 from server.graph.permissions import COMMISSIONING, CONFIGURING
-from server.graph.services import answering
 from server.graph.topics import LocalGraph
 from server.lifecycle import end_task
 
@@ -161,10 +160,9 @@ class Commissioning:
         self._shown_at_s = -math.inf
         self._health: ArmHealth | None = None
         self._node.advertise(STATE_TOPIC, "armbridge_msgs/CommissioningState", latch=True)
-        begin, answer = answering(self._begin), answering(self._answer)
-        self._node.offer(BEGIN, "armbridge_msgs/BeginCommissioning", begin, rule=COMMISSIONING)
-        self._node.offer(ANSWER, "armbridge_msgs/AnswerCommissioning", answer, rule=COMMISSIONING)
-        self._node.offer(CANCEL, "std_srvs/Trigger", answering(self._cancel), rule=CONFIGURING)
+        self._node.offer(BEGIN, "armbridge_msgs/BeginCommissioning", self._begin, rule=COMMISSIONING)
+        self._node.offer(ANSWER, "armbridge_msgs/AnswerCommissioning", self._answer, rule=COMMISSIONING)
+        self._node.offer(CANCEL, "std_srvs/Trigger", self._cancel, rule=CONFIGURING)
         self._show()
 
     def take_state(self, state: ArmState) -> None:

@@ -13,7 +13,6 @@ from server.arrival import arrival_epoch
 from server.errors import ServiceError
 from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.permissions import STOPPING, SWITCHING, WORKING, Rule
-from server.graph.services import answering
 from server.graph.topics import LocalGraph
 
 log = logging.getLogger("armbridge.arm")
@@ -54,10 +53,7 @@ def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str]
         return _standstill(arm)
 
     def offer(name: str, rule: Rule, act: Callable[[], Awaitable[CommandDone]]) -> None:
-        def serve(_request: ServiceFields) -> Awaitable[ServiceFields]:
-            return trigger_response(act())
-
-        node.offer(name, "std_srvs/Trigger", serve, rule=rule)
+        node.offer(name, "std_srvs/Trigger", lambda _request: sentence_of(act()), rule=rule)
 
     offer(ENABLE, SWITCHING, lambda: arm.order(Order.ENABLE, epoch=arrival_epoch()))
     offer(RELAX, SWITCHING, relax)
@@ -87,9 +83,12 @@ async def _standstill(arm: AnyArm) -> CommandDone:
     return CommandDone(0, done=done, message=text)
 
 
-async def trigger_response(answered: Awaitable[CommandDone]) -> ServiceFields:
+async def sentence_of(answered: Awaitable[CommandDone]) -> str:
+    """Return the sentence of an order that was carried out; raise ServiceError with the sentence of another."""
     done = await answered
-    return {"success": done.done, "message": done.message}
+    if not done.done:
+        raise ServiceError(done.message)
+    return done.message
 
 
 def _log_end(answered: asyncio.Future[CommandDone]) -> None:
@@ -146,7 +145,7 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
             arm.change_pace(ChangePace(direction=direction))
             return _SENTENCES[direction].format(prefix=node.resolve(""))
 
-        node.offer(name, "std_srvs/Trigger", answering(change), rule=rule)
+        node.offer(name, "std_srvs/Trigger", change, rule=rule)
 
     rejected = functools.partial(log.warning, "%s: %s", SPEED_FACTOR_TOPIC)
     node.subscribe(SPEED_FACTOR_TOPIC, "std_msgs/Float64", set_speed, rejected, rule=SWITCHING)
@@ -155,4 +154,4 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
     offer(RESUME, PlaybackDirection.FORWARD, SWITCHING)
     offer(STEP_BACK, PlaybackDirection.BACK, SWITCHING)
     # It moves nothing: an operator may lower it while another client drives.
-    node.offer(SPEED_LIMIT, SPEED_LIMIT_TYPE, answering(set_limit), rule=WORKING)
+    node.offer(SPEED_LIMIT, SPEED_LIMIT_TYPE, set_limit, rule=WORKING)

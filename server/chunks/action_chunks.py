@@ -25,8 +25,7 @@ from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Trajectory, Vector
 from server.access.control_lease import ControlLease
 from server.arrival import arrival_epoch, arrived_in
-from server.chunks.gripper import GripperTargets
-from server.chunks.targets import Blend, Targets, blended, deviation_rad, follow
+from server.chunks.targets import SAMPLE_S, Blend, Targets, blended, deviation_rad, follow
 from server.diagnostic_values import LEVEL_OK, key_values
 from server.errors import GraphError, RefusedError, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
@@ -42,6 +41,8 @@ from server.moveit.actions.gripper import Gripper
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.messages import Message, error_code
 from server.moveit.trajectories import read_points, read_seconds, smallest_group
+from server.teleop.following import TrackingLimits
+from server.teleop.gripper_following import LATENCY_S, GripperFollowing
 
 NAME = "/arm/chunks"
 TYPE = "armbridge_msgs/ActionChunk"
@@ -55,6 +56,9 @@ log = logging.getLogger("armbridge.chunks")
 
 # A policy that was stopped has ended when it sends nothing for this time: slow ones send a chunk every two seconds [s].
 PAUSE_S = 5.0
+
+# The gripper has come to its last target by then, or holds something [s].
+SETTLES_S = 1.0
 
 # Policies send 50 to 100 targets. With positions and velocities of eight joints.
 MAX_POINTS = 500
@@ -277,27 +281,30 @@ class ActionChunks:
         self._planning, self._queue, self._time_limits = context.planning, context.queue, context.time_limits
         self._robot, self._clock = context.planning.robot, context.clock
         self._followed: _Followed | None = None
-        self._gripper = None if gripper is None else GripperTargets(gripper, context.clock)
-        self._fingers = frozenset(() if gripper is None else (joint.name for joint in gripper.joints))
+        self._gripper: GripperFollowing | None = None
+        self._finger_targets: Targets | None = None
+        if gripper is not None:
+            limits = TrackingLimits(gripper.joints[0].max_velocity, gripper.joints[0].max_acceleration)
+            self._gripper = GripperFollowing(gripper, limits, self._gripper_lead)
+        self._fingers = () if gripper is None else tuple(joint.name for joint in gripper.joints)
         self._stream = MessageStream(graph.resolve(NAME), context.clock, PAUSE_S)
         node = self._node = graph.node("chunks")
         node.advertise(ANSWER, ANSWER_TYPE)
         node.offer_action(NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
         node.subscribe(NAME, TYPE, self._take, limits=CHUNK_LIMITS, rule=GOAL)
-        # Time of the last chunk that was followed [s], and stop epoch of the last stop of the policy.
-        self._heard_s, self._stopped = -math.inf, 0
-        # Time of the last resumption [s since the epoch].
-        self._resumed_s = 0.0
+        # Times of the last chunk that was followed and of the last resumption [s]; epoch of the policy's last stop.
+        self._heard_s, self._resumed_s, self._stopped = -math.inf, -math.inf, 0
         self._phase, self._message = PolicyPhase.IDLE, ""
         node.advertise(STATE, STATE_TYPE, latch=True)
         self._show(PolicyPhase.IDLE, "no chunk is followed")
-        self._queue.give_way(joints - self._fingers, self._take_over)
+        self._queue.give_way(joints.difference(self._fingers), self._take_over)
         node.offer(PAUSE, "std_srvs/Trigger", self._pause, rule=WORKING)
         node.offer_calls(RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
         node.offer(STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)
 
     async def close(self) -> None:
         if self._gripper is not None:
+            self._gripper.end("the server is ending")
             await self._gripper.close()
 
     def _take(self, published: PublishedMessage) -> None:
@@ -331,9 +338,10 @@ class ActionChunks:
         if self._arm.rate != 1.0:
             text = f"targets of a policy have real times: simulation.rate must be 1 for them, not {self._arm.rate:g}"
             raise refused(MoveItErrorCode.CONTROL_FAILED, text)
-        chunk = read_chunk(message, self._robot, self._joints, now_s, time.time())
+        wall_s = time.time()
+        chunk = read_chunk(message, self._robot, self._joints, now_s, wall_s)
         stamp_s = read_seconds(message["trajectory"]["header"]["stamp"], "trajectory.header.stamp")
-        if 0.0 < stamp_s < self._resumed_s:
+        if stamp_s and now_s - (wall_s - stamp_s) < self._resumed_s:
             text = "trajectory.header.stamp is from before the policy was resumed: send a chunk of a later observation"
             raise _invalid(text)
         if former is not None and not former.over and former.publisher is not publisher:
@@ -366,25 +374,28 @@ class ActionChunks:
         if self._phase is PolicyPhase.PAUSED or (self._phase is not PolicyPhase.TAKEN_OVER and recent):
             self._halt(PolicyPhase.TAKEN_OVER, f"{hand} has taken over")
 
-    def _pause(self, _request: Message) -> Message:
+    def _pause(self, _request: Message) -> str:
         if self._phase is not PolicyPhase.TAKEN_OVER:
             self._halt(PolicyPhase.PAUSED, "the policy is paused")
-        return {"success": True, "message": self._message}
+        return self._message
 
     def _resume(self, call: Call) -> None:
         self._leave_control(call.caller)
-        self._resumed_s = time.time()
+        self._resumed_s = self._clock()
         self._show(PolicyPhase.IDLE, "the next chunk is followed")
-        answer_call(call, lambda _request: {"success": True, "message": self._message})
+        answer_call(call, lambda _request: self._message)
 
-    def _stop(self, _request: Message) -> Message:
+    def _stop(self, _request: Message) -> str:
         self._stopped, self._heard_s = STOP_EPOCHS.begin(), -math.inf
         self._halt(PolicyPhase.IDLE, "the policy is stopped")
-        return {"success": True, "message": self._message}
+        return self._message
 
     def _halt(self, phase: PolicyPhase, message: str) -> None:
         """Brake on the path of the chunk that is followed, and hold; another client may take control."""
         self._show(phase, message)
+        if self._gripper is not None:
+            # Its fingers may be on their way when the arm has come to its last target.
+            self._gripper.end(message)
         if self._followed is not None:
             self._leave_control(self._followed.publisher)
             if not self._followed.over:
@@ -413,11 +424,12 @@ class ActionChunks:
         if progress.state is not GoalState.EXECUTING or motion.until_s == followed.begun_until_s:
             return
         followed.begun_until_s = motion.until_s
-        if self._gripper is not None and self._gripper.joint in motion.chunk.targets.joint_names:
-            fingers = motion.chunk.targets.of_joints((self._gripper.joint,)).until(motion.until_s)
+        first = self._fingers[:1]
+        if self._gripper is not None and first[0] in motion.chunk.targets.joint_names:
+            self._finger_targets = motion.chunk.targets.of_joints(first).until(motion.until_s)
             # A stop that came after the chunk keeps its gripper still, too.
             with arrived_in(followed.epoch):
-                self._gripper.follow(fingers)
+                self._gripper.start()
         self._show(PolicyPhase.FOLLOWING, f"{followed.publisher} moves the arm")
         answer = self._answer(motion, MoveItErrorCode.SUCCESS, begun_message(motion))
         self._publish(answer)
@@ -438,6 +450,14 @@ class ActionChunks:
             self._show(PolicyPhase.IDLE, "no chunk is followed")
         if followed.goal is not None:
             followed.goal.finish(goal_status(answer.code), {"answer": end})
+
+    def _gripper_lead(self) -> tuple[float, float] | None:
+        """Return position [rad or m] and velocity of the first finger's target, None some time after the last one."""
+        targets, at_s = self._finger_targets, self._clock() + LATENCY_S
+        if targets is None or at_s > targets.end_s + SETTLES_S:
+            return None
+        position, ahead = targets.at(np.array([at_s, at_s + SAMPLE_S]))[:, 0].tolist()
+        return position, (ahead - position) / SAMPLE_S
 
     def _motion(self, chunk: Chunk, former: Targets | None, now_s: float) -> ChunkMotion:
         """Make the motion of the arm's joints, after the targets that the arm follows now; may raise RefusedError."""

@@ -20,6 +20,9 @@ SAMPLE_S = 0.02
 # its noise of 0.05 rad asks for 80 rad/s^2.
 WINDOWS = (0, 3, 5, 9, 17, 33)
 
+# Targets that are over are kept for the averages this long: the widest window takes 0.68 s of them [s].
+KEPT_S = 2.0
+
 # Share of the acceleration limit that averaged targets may use: the rest closes the way to them.
 ACCELERATION_SHARE = 0.7
 
@@ -71,7 +74,7 @@ class Targets:
 
 
 def blended(former: Targets | None, new: Targets, blend: Blend, weight: float, now_s: float) -> Targets:
-    """Return the targets of two chunks of the same joints from now on, after the former ones.
+    """Return the targets of two chunks of the same joints from now on, after the former ones of the last seconds.
 
     Args:
         weight: weight of the new chunk in an ensemble, 0 to 1.
@@ -82,7 +85,7 @@ def blended(former: Targets | None, new: Targets, blend: Blend, weight: float, n
     time_s = np.concatenate(([first_s], new.time_s[new.time_s > first_s]))
     share = np.where(time_s > former.end_s, 1.0, _share_of_new(time_s, blend, weight, first_s, former.end_s))
     positions = share[:, np.newaxis] * new.at(time_s) + (1.0 - share[:, np.newaxis]) * former.at(time_s)
-    past = former.time_s < first_s
+    past = (former.time_s < first_s) & (former.time_s > first_s - KEPT_S)
     return Targets(
         new.joint_names,
         np.concatenate((former.time_s[past], time_s)),
@@ -121,10 +124,7 @@ def follow(targets: Targets, start: tuple[Vector, Vector, Vector], at_s: float, 
     flat = [_followed(*(each.tolist() for each in column)) for column in columns]
     states = np.array(flat).reshape(len(names), brakes + 1, 3).transpose(1, 2, 0)
     tail = bridge(names, tuple(states[-1]), (targets.positions_rad[-1], np.zeros(len(names))), limits, 0.0)
-    time_s = np.concatenate((SAMPLE_S * np.arange(brakes), tail.time_s + SAMPLE_S * brakes))
-    head = states[:-1].transpose(1, 0, 2)
-    rest = tail.positions_rad, tail.velocities_rad_s, tail.accelerations_rad_s2
-    return Trajectory(names, time_s, *(np.vstack(both) for both in zip(head, rest, strict=True)))
+    return Trajectory(names, SAMPLE_S * np.arange(brakes + 1, dtype=np.float64), *states.transpose(1, 0, 2)).then(tail)
 
 
 def deviation_rad(targets: Targets, motion: Trajectory, at_s: float) -> Vector:

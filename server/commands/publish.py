@@ -2,7 +2,6 @@
 
 import argparse
 import asyncio
-import math
 from pathlib import Path
 from typing import Any
 
@@ -29,19 +28,6 @@ MIN_WIDTH, MAX_WIDTH = 16, 4096
 MAX_QUALITY = 95
 DEFAULT_QUALITY = 80
 
-RENDERED = "physics"  # device that is rendered
-DEFAULT_VIEW = "0.6,-0.4,0.4,0.15,0,0.05"
-
-
-def _numbers(text: str) -> tuple[float, ...]:
-    try:
-        numbers = tuple(float(each) for each in text.split(","))
-    except ValueError:
-        numbers = ()
-    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
-        raise argparse.ArgumentTypeError(f"must be six numbers with commas, not {text!r}")
-    return numbers
-
 
 def add_camera_parser(subparsers: Subparsers) -> None:
     parser = add_command(
@@ -56,21 +42,8 @@ def add_camera_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "device",
         metavar="DEVICE",
-        help="number or path of a camera, a video file, test for a test pattern, or physics for rendered images of the "
-        "server's arm and scene",
+        help="number or path of a camera, a video file, or test for a test pattern",
     )
-    parser.add_argument(
-        "--view",
-        type=_numbers,
-        default=DEFAULT_VIEW,
-        metavar="X,Y,Z,X,Y,Z",
-        help="of rendered images: place of the camera and the point in the middle [m] (%(default)s)",
-    )
-    parser.add_argument(
-        "--link", default="", metavar="LINK", help="of rendered images: link that carries the camera (the base)"
-    )
-    parser.add_argument("--depth", action="store_true", help="of rendered images: publish sensor_msgs/Image with depth")
-    add_robot(parser)
     add_connect(parser)
     parser.add_argument("--topic", default=CAMERA_TOPIC, help=f"of the images ({CAMERA_TOPIC})")
     add_number(parser, "--fps", "N", (1, MAX_FPS), DEFAULT_FPS, f"images a second ({DEFAULT_FPS})")
@@ -82,23 +55,14 @@ def add_camera_parser(subparsers: Subparsers) -> None:
 
 def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.datasets.camera import CameraClient, CameraOptions, even, open_source
+    from server.datasets.camera import CameraClient, CameraOptions, open_source
     from server.lifecycle import run_until_signal
-    from server.publishing_client import PublishedTopic, PublishingClient
+    from server.publishing_client import PublishedTopic
 
     target = PublishedTopic(options.connect, options.topic, read_token(options))
-    client: PublishingClient
-    if options.device == RENDERED:
-        from server.datasets.rendering_client import RenderingClient, open_camera
-
-        size = {} if options.width is None else {"width": options.width, "height": even(options.width * 3 // 4)}
-        view = {"frame": options.link, "view": options.view, "rate_hz": options.fps, "depth": options.depth}
-        robot, published = open_camera(options.robot, options.topic, options.quality, **view, **size)
-        client = RenderingClient(target, robot, published, terminal.say)
-    else:
-        source = open_source(options.device, options.width)
-        chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
-        client = CameraClient(target, chosen, source, terminal.say)
+    source = open_source(options.device, options.width)
+    chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
+    client = CameraClient(target, chosen, source, terminal.say)
     by_signal = asyncio.run(run_until_signal(client.run()))
     terminal.tell(f"{client.published} images published on {options.topic}")
     if by_signal or client.finite:

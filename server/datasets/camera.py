@@ -213,7 +213,7 @@ class CameraClient(PublishingClient):
     def __init__(
         self, target: PublishedTopic, options: CameraOptions, source: ImageSource, tell: Callable[[str], None]
     ) -> None:
-        super().__init__(target, {target.topic: IMAGE_TYPE}, tell)
+        super().__init__(target, IMAGE_TYPE, tell)
         self.finite = source.finite
         self._options = options
         self._arrived = asyncio.Event()

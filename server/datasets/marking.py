@@ -25,7 +25,6 @@ from server.datasets.episodes import (
 from server.diagnostic_values import LEVEL_OK, LEVEL_WARN, key_values
 from server.errors import ServiceError
 from server.graph.permissions import WORKING, Node
-from server.graph.services import answering
 from server.graph.topics import Graph, Subscriber
 
 log = logging.getLogger("armbridge.datasets")
@@ -42,6 +41,9 @@ MAX_KEPT = 10_000
 STATE_TOPIC, COMMANDED_TOPICS = "/joint_states", "_controller/controller_state"
 
 NOT_RECORDED = "this server records nothing (armbridge serve --record FILE.mcap)"
+
+# Cameras that are watched: an arm has a few, and clients can make up any number of topics.
+MAX_WATCHED = 100
 
 # Period in which an episode in progress is looked at [s].
 LOOK_PERIOD_S = 0.5
@@ -107,9 +109,9 @@ class EpisodeServices:
         self._node.advertise(EPISODE_TOPIC, EPISODE_TYPE)
         self._node.advertise(STATE, STATE_TYPE, latch=True)
         self._node.subscribe(EPISODE_TOPIC, EPISODE_TYPE, self._take, rule=WORKING)
-        self._node.offer(START_SERVICE, START_TYPE, answering(self._start), rule=WORKING)
-        self._node.offer(STOP_SERVICE, "std_srvs/Trigger", answering(self._stop), rule=WORKING)
-        self._node.offer(DISCARD_SERVICE, "std_srvs/Trigger", answering(self._discard), rule=WORKING)
+        self._node.offer(START_SERVICE, START_TYPE, self._start, rule=WORKING)
+        self._node.offer(STOP_SERVICE, "std_srvs/Trigger", self._stop, rule=WORKING)
+        self._node.offer(DISCARD_SERVICE, "std_srvs/Trigger", self._discard, rule=WORKING)
         self._show()
 
     async def run(self) -> None:
@@ -157,9 +159,11 @@ class EpisodeServices:
                 self._graph.unsubscribe(self._observer, topic)
             return
         for topic, type_name in self._graph.topic_names.types().items():
-            if type_name in IMAGES or topic == STATE_TOPIC:
+            publishers = self._graph.publishers(topic)
+            if len(self._watched) < MAX_WATCHED and publishers and (type_name in IMAGES or topic == STATE_TOPIC):
                 self._watched.setdefault(topic, Timing(self._clock()))
-            if topic not in subscribed and (topic in self._watched or topic.endswith(COMMANDED_TOPICS)):
+            commanded = topic.endswith(COMMANDED_TOPICS) and any(not node.remote for node in publishers)
+            if topic not in subscribed and (topic in self._watched or commanded):
                 self._graph.subscribe(self._observer, topic, type_name, Subscriber(self._heard))
 
     def _heard(self, published: PublishedMessage) -> None:

@@ -19,7 +19,7 @@ from server.moveit.scene.frames import in_root
 
 DEPTH_TYPE, INFO_TYPE = "sensor_msgs/Image", "sensor_msgs/CameraInfo"
 
-DEFAULT_QUALITY = 80  # of JPEG
+QUALITY = 80  # of JPEG
 
 MM_PER_M = 1000.0
 MAX_DEPTH_MM = 65_535  # largest value of an image with 16 bits
@@ -29,11 +29,10 @@ NS_PER_S = 1_000_000_000
 
 @dataclass(frozen=True)
 class PublishedCamera:
-    """Camera, the topic of its JPEG images, such as ``/wrist/image/compressed``, and their quality from 1 to 95."""
+    """Camera, and the topic of its JPEG images, such as ``/wrist/image/compressed``."""
 
     camera: Camera
     topic: str
-    quality: int = DEFAULT_QUALITY
 
     @property
     def namespace(self) -> str:
@@ -158,7 +157,7 @@ class RenderedCameras:
             return camera_info(published.camera)
         if type_name == DEPTH_TYPE:
             return _depth_image(self._renderer.depth_m(published.topic))
-        jpeg = to_jpeg(self._renderer.image(published.topic), None, published.quality)
+        jpeg = to_jpeg(self._renderer.image(published.topic), None, QUALITY)
         return {"format": "jpeg", "data": base64.b64encode(jpeg).decode()}
 
 

@@ -108,10 +108,10 @@ class Confirmation:
             status |= {"name": goal.request.source, "hardware_id": goal.goal_id}
         self._node.publish(APPROVAL_TOPIC, status)
 
-    def _set_mode(self, request: dict[str, Any]) -> dict[str, Any]:
+    def _set_mode(self, request: dict[str, Any]) -> str:
         self.enabled = request["data"]
         said = f"wait for a message on {CONFIRM_TOPIC}" if self.enabled else "are carried out at once"
-        return {"success": True, "message": f"goals on /moveit_goal_* {said}"}
+        return f"goals on /moveit_goal_* {said}"
 
 
 def _is_proposed(goal: Goal) -> bool:

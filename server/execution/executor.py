@@ -35,7 +35,7 @@ from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.errors import RefusedError, refused
 from server.execution.confirmation import Confirmation
-from server.execution.failures import FailedGoals, with_nearest_goal
+from server.execution.failures import with_nearest_goal
 from server.execution.goal import BRAKING_TIMEOUT_S, Answer, Goal, GoalState, MotionWatch, Progress, TimeLimits
 from server.execution.monitors import ARM_START_TIMEOUT_S, CurrentScene, CurrentState, check_ready
 from server.execution.motions import (
@@ -157,7 +157,6 @@ class ExecutionContext:
     scene: CurrentScene
     current: CurrentState
     time_limits: TimeLimits = field(default_factory=TimeLimits)
-    failed_goals: FailedGoals | None = None  # keeps goals that could not be planned; None to keep none
     show: Callable[[Performed], None] = lambda _performed: None  # called with every plan before it is executed
     confirmation: Confirmation | None = None
     clock: Callable[[], float] = time.monotonic
@@ -249,7 +248,7 @@ class GoalExecutor:
         plan = await goal.unless_cancelled(_in_time(ask, HORIZON_S - SENDING_S))
         if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > goal.deadline.limits.trajectory_s:
             return None
-        whole = replace(plan, trajectory=point.splice(plan.trajectory))
+        whole = replace(plan, trajectory=point.lead.then(plan.trajectory))
         start_rad = {**problem.start_rad, **point.start_rad}
         planned = Performed(start_rad, scene=scene).with_plan(problem, whole)
         # A scene that has changed since the lead was found free is checked on the way.
@@ -329,7 +328,7 @@ class GoalExecutor:
         point = self._splice_point(now_s, leaves_s - now_s)
         if point is None or arrives_s <= now_s:
             return None
-        whole = point.splice(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
+        whole = point.lead.then(request.trajectory({**self._held_rad(), **point.positions_rad}, leaves_s, point))
         goal.deadline.limits.check_duration(whole.duration_s, GIVEN_DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         return whole, point, arrives_s, outgoing.path_time.passes_s(arrives_s)
 
@@ -375,7 +374,6 @@ class GoalExecutor:
             if planned is None:
                 break
             if planned.failure is not None:
-                await self._save(planned, planned.failure)
                 explaining = with_nearest_goal(planned.failure, planned.problem, planned.scene, self._context.pool)
                 return replace(planned, failure=await goal.unless_cancelled(explaining) or planned.failure)
             if not self._moved_since(planned.start_rad, request.joints):
@@ -394,11 +392,6 @@ class GoalExecutor:
             if planned.failure is None:
                 self._in_progress.announce(request.joints, planned.end_rad)
             return planned
-
-    async def _save(self, planned: Performed, failure: PlanningFailure) -> None:
-        keeper, problem = self._context.failed_goals, planned.problem
-        if keeper and isinstance(problem, PlanningProblem) and failure.code is not MoveItErrorCode.PREEMPTED:
-            await keeper.save(problem, planned.scene, failure)
 
     def _show_soon(self, planned: Performed) -> None:
         """Show a plan when the arm has it: to write one down for viewers takes milliseconds."""

@@ -1,14 +1,9 @@
-"""Goals that cannot be planned: files for ``armbridge plan``, and the nearest goals that can be planned."""
+"""Goals that cannot be planned, and the nearest goals that can be planned."""
 
 import asyncio
-import logging
-from collections.abc import Callable
 from dataclasses import replace
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
-from planners.files import problem_file
 from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.interface import Planners
 from planners.problem import (
@@ -21,45 +16,7 @@ from planners.problem import (
     PlanningProblem,
 )
 from planners.scene import Scene
-from robot.description.model import RobotModel
 from server.execution.motions import Problem
-from server.named_files import FileSeries
-
-log = logging.getLogger("armbridge.failed_goals")
-
-# A disk that takes longer keeps the file to itself; the goal's answer does not wait for it.
-WRITING_TIMEOUT_S = 2.0
-
-PREFIX = "goal-"
-
-
-class FailedGoals:
-    """Directory of problem files, up to 3 MB each, which servers may share; the oldest make room for new ones."""
-
-    def __init__(self, directory: Path, robot: RobotModel, wall_clock: Callable[[], float], max_files: int) -> None:
-        self._directory = directory
-        self._files = FileSeries(directory, PREFIX, ".json", max_files)
-        self._robot = robot
-        self._wall_clock = wall_clock
-
-    async def save(self, problem: PlanningProblem, scene: Scene, failure: PlanningFailure) -> None:
-        """Write a problem file; errors are only logged."""
-        now = datetime.fromtimestamp(self._wall_clock(), UTC)
-        name = f"{now:%Y%m%dT%H%M%S.%fZ}-{failure.code.name}"
-
-        def content(stem: str) -> bytes:
-            return problem_file.text(stem, problem, scene, self._robot, failure).encode()
-
-        try:
-            writing = asyncio.to_thread(self._files.add, name, content)
-            path = await asyncio.wait_for(writing, WRITING_TIMEOUT_S)
-        except TimeoutError:
-            log.warning("a failed goal is not saved in %s within %g s", self._directory, WRITING_TIMEOUT_S)
-        except OSError as error:
-            log.warning("a failed goal is not saved in %s: %s", self._directory, error)
-        else:
-            log.info("the failed goal is saved: armbridge plan --all %s", path)
-
 
 # Goals that have no plan for a reason that another goal nearby may not have.
 SUGGESTED_FOR = (

@@ -28,9 +28,10 @@ from planners.problem import (
 )
 from planners.scene import EMPTY_SCENE, Scene
 from robot.control.pacing import PERIOD_S
+from robot.description.limits import motion_limits
 from robot.description.model import RobotModel
 from robot.messages import MotionEnded
-from robot.trajectory import Trajectory
+from robot.trajectory import Trajectory, bridge
 from server.errors import RefusedError, refused
 
 # Names of joints.
@@ -196,9 +197,6 @@ SAME_START_RAD = 0.0008
 # Share of the limits that the lead-in uses; it is short, and no client asked for it.
 LEAD_IN_SCALING = 0.2
 
-# Peak velocity and acceleration of a cubic from rest to rest, as multiples of way / time and way / time^2.
-CUBIC_PEAK_VELOCITY, CUBIC_PEAK_ACCELERATION = 1.5, 6.0
-
 
 @dataclass(frozen=True)
 class SplicePoint:
@@ -218,17 +216,6 @@ class SplicePoint:
     @property
     def velocities_rad_s(self) -> dict[str, float]:
         return dict(zip(self.lead.joint_names, self.lead.velocities_rad_s[-1].tolist(), strict=True))
-
-    def splice(self, motion: Trajectory) -> Trajectory:
-        """Return the lead followed by a motion that begins at the point, of the same joints."""
-        lead = self.lead
-        return Trajectory(
-            lead.joint_names,
-            np.concatenate((lead.time_s, motion.time_s[1:] + lead.duration_s)),
-            np.vstack((lead.positions_rad, motion.positions_rad[1:])),
-            np.vstack((lead.velocities_rad_s, motion.velocities_rad_s[1:])),
-            np.vstack((lead.accelerations_rad_s2, motion.accelerations_rad_s2[1:])),
-        )
 
 
 def start_of(
@@ -298,21 +285,10 @@ def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: Robot
         )
     if away[worst] <= SAME_START_RAD:
         return motion
-    # In this time every joint moves so far, from rest, at a share of its limits [s].
-    joints = [robot.joints[name] for name in motion.joint_names]
-    velocity = LEAD_IN_SCALING * np.array([joint.max_velocity for joint in joints])
-    acceleration = LEAD_IN_SCALING * np.array([joint.max_acceleration for joint in joints])
-    by_velocity = CUBIC_PEAK_VELOCITY * away / velocity
-    by_acceleration = np.sqrt(CUBIC_PEAK_ACCELERATION * away / acceleration)
-    lead_s = float(np.max(np.maximum(by_velocity, by_acceleration)))
-    still = np.zeros((1, len(held)))
-    return Trajectory(
-        motion.joint_names,
-        np.concatenate(([0.0], motion.time_s + lead_s)),
-        np.vstack((held, motion.positions_rad)),
-        np.vstack((still, motion.velocities_rad_s)),
-        np.vstack((still, motion.accelerations_rad_s2)),
-    )
+    limits = motion_limits(robot, motion.joint_names, LEAD_IN_SCALING)
+    gentle = replace(limits, acceleration=LEAD_IN_SCALING * limits.acceleration)
+    still = np.zeros(len(held))
+    return bridge(motion.joint_names, (held, still, still), (motion.positions_rad[0], still), gentle, 0.0).then(motion)
 
 
 def _between(motion: Trajectory, from_s: float, to_s: float) -> Trajectory:

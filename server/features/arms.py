@@ -158,6 +158,7 @@ class PolicyChunks(Feature):
     """Chunks of joint targets, which learned policies send to each arm."""
 
     name = "chunks"
+    deadline_s = 0.5
 
     def __init__(self, context: ServerContext) -> None:
         goals, access = context.goals, context.access

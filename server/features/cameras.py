@@ -29,7 +29,6 @@ from server.errors import GraphError
 from server.features.context import ServerContext
 from server.features.physics import Physics
 from server.graph.permissions import WORKING
-from server.graph.services import answering
 from server.graph.topics import LocalNode
 from server.lifecycle import Feature, end_task
 from server.moveit.messages import Message, pose_of, write_transform
@@ -96,7 +95,7 @@ class Cameras(Feature):
             self._put(each.namespace.strip("/"), each)
         for name, serve in (("Set", self._set), ("Remove", self._remove)):
             offered, type_name = f"/simulation/{name.lower()}_camera", f"armbridge_msgs/srv/{name}Camera"
-            self._node.offer(offered, type_name, answering(serve), rule=WORKING)
+            self._node.offer(offered, type_name, serve, rule=WORKING)
 
     async def start(self) -> None:
         self._publish_frames(())

@@ -1,7 +1,6 @@
 """Context in which the features of the server are made: its arms, its planning, and the way of goals to the arms."""
 
 import os
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,6 @@ from server.arm.arms import ServedArm
 from server.config import Settings
 from server.execution.confirmation import Confirmation
 from server.execution.executor import ExecutionContext, GoalExecutors
-from server.execution.failures import FailedGoals
 from server.execution.goal import Answer, Goal, GoalRequest, TimeLimits
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
@@ -47,14 +45,12 @@ class Goals(GoalListener):
             goals.max_trajectory_duration_s,
         )
         self.confirmation = Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s)
-        directory, max_files = settings.planning.save_failed_goals, settings.planning.keep_failed_goals
         execution = ExecutionContext(
             robot,
             planning.pool,
             planning.scene_state,
             planning.current,
             self.time_limits,
-            None if directory is None else FailedGoals(directory, robot, time.time, max_files),
             planning.display.performed,
             self.confirmation,
         )

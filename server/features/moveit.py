@@ -152,6 +152,7 @@ class GoalQueueing(Feature):
     """The queue of goals."""
 
     name = "the goal queue"
+    deadline_s = QUEUE_CLOSE_TIMEOUT_S + 0.1
 
     def __init__(self, context: ServerContext) -> None:
         self._queue, self._executors = context.goals.queue, context.goals.executors
@@ -172,6 +173,7 @@ class Servo(Feature):
     """MoveIt Servo for each arm."""
 
     name = "servo"
+    deadline_s = 0.5
 
     def __init__(self, context: ServerContext) -> None:
         self.nodes = {arm.name: _servo_node(arm) for arm in context.arms}

@@ -21,10 +21,10 @@ from robot.arm_group import states_of
 from robot.description.model import RobotModel
 from robot.messages import PARKING_TIMEOUT_S, ArmState, CommandDone, EndState, Mode, Order, ParkingPlan
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
-from server.arm.services import trigger_response
+from server.arm.services import sentence_of
 from server.arrival import arrival_epoch, is_stopped
 from server.config import ArmSettings
-from server.errors import ConfigurationError
+from server.errors import ConfigurationError, ServiceError
 from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import PlannedMotion, Positions
 from server.execution.queue import GoalListener
@@ -96,8 +96,8 @@ class ArmParking:
             log.warning("%s Instead of being parked at the end, it is relaxed.", self._no_pose)
         context.graph.node("arm services").offer(PARK, "std_srvs/Trigger", self._serve, rule=SWITCHING)
 
-    def _serve(self, _request: Message) -> Awaitable[Message]:
-        return trigger_response(self.park(self.context.graph.resolve(PARK)))
+    def _serve(self, _request: Message) -> Awaitable[str]:
+        return sentence_of(self.park(self.context.graph.resolve(PARK)))
 
     @property
     def _no_pose(self) -> str:
@@ -380,12 +380,14 @@ class Parkings(Feature, GoalListener):
             self.deadline_s = len(self._parkings) * (PREPARING_S + CLOSE_LIMIT_S)
             context.whole.graph.node("arm services").offer(PARK, "std_srvs/Trigger", self._park_each, rule=SWITCHING)
 
-    async def _park_each(self, _request: Message) -> Message:
+    async def _park_each(self, _request: Message) -> str:
         """Park the arms one after the other: on their ways at the same time they could wait for each other."""
         arms = [each for each in self._parkings if not each.context.served.leads]
         done = {each.context.name: await each.park(PARK) for each in arms}
         said = "; ".join(f"{name}: {one.message}" for name, one in done.items())
-        return {"success": all(one.done for one in done.values()), "message": said}
+        if not all(one.done for one in done.values()):
+            raise ServiceError(said)
+        return said
 
     async def start(self) -> None:
         await self._keeping.start()

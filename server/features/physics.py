@@ -21,7 +21,6 @@ from server.config import NamedArmSettings
 from server.errors import ConfigurationError, RefusedError, ServerError, ServiceError
 from server.features.context import ArmContext, ServerContext
 from server.graph.permissions import WORKING
-from server.graph.services import answering
 from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.moveit.scene.collision_objects import IDENTITY, CollisionObject, read_bounded_pose
@@ -151,16 +150,16 @@ class Physics(Feature):
             self._open_world(settings.world, settings.world_seed, context)
         node = context.graph.node("simulation")
         for name, type_name, serve in (
-            ("set_body", SET_BODY_TYPE, answering(self._set_body)),
-            ("set_pose", "armbridge_msgs/srv/SetBodyPose", answering(self._set_pose)),
-            ("reset", "std_srvs/srv/Trigger", answering(self._reset)),
+            ("set_body", SET_BODY_TYPE, self._set_body),
+            ("set_pose", "armbridge_msgs/srv/SetBodyPose", self._set_pose),
+            ("reset", "std_srvs/srv/Trigger", self._reset),
             ("pause", "std_srvs/srv/SetBool", self._pause),
             ("step", "armbridge_msgs/srv/StepSimulation", self._step),
         ):
             node.offer(f"/simulation/{name}", type_name, serve, rule=WORKING)
         for each in worlds:
             if each.name:
-                set_body = answering(functools.partial(self._set_body, mover=each.name))
+                set_body = functools.partial(self._set_body, mover=each.name)
                 each.graph.node("simulation").offer("/simulation/set_body", SET_BODY_TYPE, set_body, rule=WORKING)
         self._scene.on_change(self._follow_scene)
 
@@ -368,7 +367,7 @@ class Physics(Feature):
         self._apply(moved, tuple(name for name in moved if name in contents.attached))
         self._send(self._bodies, poses)
 
-    async def _pause(self, request: dict[str, Any]) -> Message:
+    async def _pause(self, request: dict[str, Any]) -> str:
         paused, self._paused = request["data"], False
         # Steps in progress are a pause already, and are not cut short.
         if not (paused and self._stepping):
@@ -376,21 +375,19 @@ class Physics(Feature):
         if not await self._reach(lambda world: (world.ticks >= 0) == paused, ANSWER_TIMEOUT_S):
             # The time of one arm must not stand still alone: another's process may be starting again.
             self._simulate(PauseSimulation(paused=False))
-            return {"success": False, "message": f"the arm process did not answer within {ANSWER_TIMEOUT_S:g} s"}
+            raise ServiceError(f"the arm process did not answer within {ANSWER_TIMEOUT_S:g} s")
         self._paused = paused
-        return {"success": True, "message": f"the time of the simulation {'stands still' if paused else 'passes'}"}
+        return f"the time of the simulation {'stands still' if paused else 'passes'}"
 
-    async def _step(self, request: dict[str, Any]) -> Message:
-        steps, refusal = request["steps"], ""
+    async def _step(self, request: dict[str, Any]) -> str:
+        steps = request["steps"]
         before = {name: world.ticks for name, world in self._worlds.items()}
         if not 1 <= steps <= MAX_STEPS:
-            refusal = f"steps must be 1 to {MAX_STEPS}, not {steps}"
-        elif min(before.values()) < 0:
-            refusal = "the time of the simulation passes: call /simulation/pause with true first"
-        elif self._stepping:
-            refusal = "other steps are in progress"
-        if refusal:
-            return {"success": False, "message": refusal}
+            raise ServiceError(f"steps must be 1 to {MAX_STEPS}, not {steps}")
+        if min(before.values()) < 0:
+            raise ServiceError("the time of the simulation passes: call /simulation/pause with true first")
+        if self._stepping:
+            raise ServiceError("other steps are in progress")
         self._stepping = True
         try:
             self._simulate(PauseSimulation(paused=True, ticks=steps))
@@ -399,7 +396,9 @@ class Physics(Feature):
         finally:
             self._stepping = False
         done = max(min(world.ticks - before[name] for name, world in self._worlds.items()), 0)
-        return {"success": done == steps, "message": f"{done} of {steps} steps are done"}
+        if done < steps:
+            raise ServiceError(f"{done} of {steps} steps are done")
+        return f"{done} of {steps} steps are done"
 
     def _simulate(self, command: PauseSimulation) -> None:
         for world in self._worlds.values():

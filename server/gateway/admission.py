@@ -19,7 +19,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import cached_property, lru_cache
+from functools import cached_property
 from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Address
 from pathlib import Path
@@ -201,16 +201,10 @@ _BEARER = "bearer "
 
 MAX_PORT = 65_535
 
-# Hosts and origins that are remembered, of 300 characters at most: clients name the same few again and again.
-REMEMBERED = 256
-
 _AUTHORITY = re.compile(
     r"(?:\[(?P<ipv6>[0-9A-Fa-f:.]{2,45})(?:%[0-9A-Za-z._~-]{1,32})?\]|(?P<name>[0-9A-Za-z_.-]{1,255}))"
     r"(?::(?P<port>[0-9]{1,5}))?"
 )
-
-# Longer than the longest text that fits the pattern, a name with its port.
-MAX_AUTHORITY_CHARACTERS = 300
 
 # Of the schemes that pages have.
 _PORTS = {"http": 80, "https": 443}
@@ -237,11 +231,6 @@ class Authority:
 
 def read_authority(text: str) -> Authority | None:
     """Return host and port of a header; None for any other text, such as one with a user in it."""
-    return _read_authority(text) if len(text) <= MAX_AUTHORITY_CHARACTERS else None
-
-
-@lru_cache(REMEMBERED)
-def _read_authority(text: str) -> Authority | None:
     found = _AUTHORITY.fullmatch(text)
     if found is None:
         return None

@@ -29,7 +29,7 @@ from protocol.operations import (
 )
 from protocol.registry import Kind
 from protocol.session import Packed, Refusal
-from server.access.authorization import Authorizer, is_cancel, is_stop
+from server.access.authorization import Authorizer
 from server.errors import GraphError
 from server.gateway.client_context import ClientContext
 from server.gateway.client_requests import ClientActions, ClientServices, name_and_id
@@ -109,13 +109,6 @@ class Client:
         except Exception:  # a bug in serving one operation must not take the client with it
             log.exception("%s: publish failed", self.node)
         return True
-
-    def is_urgent(self, operation: Operation) -> bool:
-        return is_stop(operation, self._graph) or is_cancel(operation, self._graph)
-
-    def is_repeated(self, operation: Operation) -> bool:
-        """Return True for a cancel: its goal may wait behind other operations of this client."""
-        return is_cancel(operation, self._graph)
 
     def repeat(self, operation: Operation) -> None:
         """Cancel again, without an answer."""
@@ -246,7 +239,7 @@ class Client:
             return
         identity = access.identify(operation)
         if isinstance(identity, str):
-            throttle.record_failure(connection.address, operation.token or operation.mac)
+            throttle.record_failure(connection.address, operation.token)
             self._disconnect(f"auth: {identity}")
             return
         access.one_time_tokens.release(self._shown)

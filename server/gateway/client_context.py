@@ -51,7 +51,6 @@ log = logging.getLogger("armbridge.gateway")
 # Values in the lists of messages of a client's calls that wait, and as many of its goals: 75 MB. The last one may go
 # beyond.
 MAX_VALUES_IN_FLIGHT = 500_000
-VALUES_LIMIT = f"the limit is {MAX_VALUES_IN_FLIGHT}"
 
 # Log lines about one client: at once, and in the long run [1/s].
 LOG_BURST = 50

@@ -21,7 +21,7 @@ from protocol.operations import (
     qualify,
 )
 from protocol.session import with_id
-from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, VALUES_LIMIT, ClientContext
+from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, ClientContext
 from server.graph.actions import ActionGoal, Actions, GoalStatus, Result
 from server.graph.message_types import PostponedError, ReceivedMessage
 from server.graph.permissions import WORKING, Role
@@ -59,6 +59,15 @@ class _Offers:
         if former not in (None, self._node):
             text = f"{self._kind} {spelled}: takes the place of another client's"
             self._client.status.tell("warning", operation, text)
+
+    def _limit(self, count: int, what: str) -> str | None:
+        """Return the limit at which no further call, or goal, of this client is taken on; None below it."""
+        if count >= self._limits.max_calls_in_flight:
+            return f"{count} {what} of this client wait, which is the limit"
+        if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
+            values = f"{self._values_in_flight} values wait, the limit is {MAX_VALUES_IN_FLIGHT}"
+            return f"{what} of this client with {values}"
+        return None
 
     def _withdraw(self, operation: Operation, spelled: str) -> None:
         name = qualify(spelled)
@@ -165,15 +174,11 @@ class ClientServices(_Offers):
 
     def _problem(self, *, plans: bool) -> str | None:
         """Return the limit at which one more call is not made; None below all limits."""
-        if self._calls_in_flight >= self._limits.max_calls_in_flight:
-            return f"{self._calls_in_flight} calls of this client wait, which is the limit"
-        if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
-            return f"calls of this client with {self._values_in_flight} values wait, {VALUES_LIMIT}"
         identity = self._node.identity
         limit = MAX_PLANNING_CALLS[Role.VIEW if identity is None else identity.role]
         if plans and self._planning_calls >= limit:
             return f"{self._planning_calls} calls of this client that plan wait, the limit of its role is {limit}"
-        return None
+        return self._limit(self._calls_in_flight, "calls")
 
 
 def name_and_id(operation: CallService) -> tuple[str, Mark]:
@@ -256,12 +261,7 @@ class ClientActions(_Offers):
             fields = {"op": "action_feedback", "action": operation.action, "values": feedback}
             self._client.send_feedback(with_id(fields, operation.id), f"{type_name}_Feedback")
 
-        if len(self._sent) >= self._limits.max_calls_in_flight:
-            problem = f"{len(self._sent)} goals of this client are on their way, which is the limit"
-            self.reject_goal(operation.action, operation.id, problem)
-            return
-        if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
-            problem = f"goals of this client with {self._values_in_flight} values are on their way, {VALUES_LIMIT}"
+        if (problem := self._limit(len(self._sent), "goals")) is not None:
             self.reject_goal(operation.action, operation.id, problem)
             return
         listener = on_feedback if operation.feedback else None

@@ -81,8 +81,6 @@ POLICY = "; ".join(
 # As long as a number may be that is still compared with the limit.
 _LENGTH = re.compile(r"[0-9]{1,18}")
 
-_WEIGHT_OF_NOTHING = re.compile(r"q\s*=\s*0(\.0*)?")
-
 # A connection serves one request: websockets closes it after the answer.
 _HEADERS_OF_ALL = {
     "Connection": "close",
@@ -100,17 +98,6 @@ MAX_PAGE_FILE_BYTES = 8 << 20
 DOCS = "docs"
 
 HOW_TO_BUILD_PAGE = "the page is not built: install Node.js 20.19 or later with npm, and call make page"
-
-NOT_BUILT = f"""<!doctype html>
-<html lang="en">
-<head><meta charset="utf-8"><title>armbridge</title></head>
-<body>
-<h1>armbridge is running</h1>
-<p>Clients of rosbridge connect to this address.</p>
-<p>The page for people is not built. Here {HOW_TO_BUILD_PAGE}. Then load this address again.</p>
-</body>
-</html>
-"""
 
 UNKNOWN_TYPE = "application/octet-stream"
 
@@ -304,17 +291,9 @@ class PostedRequest:
 
 
 def names(headers: Headers, header: str, token: str) -> bool:
-    """Return True for a header of comma-separated words that has a word."""
-    return any(word.strip().lower() == token for line in headers.get_all(header) for word in line.split(","))
-
-
-def accepts_gzip(headers: Headers) -> bool:
-    for line in headers.get_all("Accept-Encoding"):
-        for item in line.lower().split(","):
-            coding, _, weight = item.partition(";")
-            if coding.strip() in ("gzip", "*"):
-                return not _WEIGHT_OF_NOTHING.fullmatch(weight.strip())
-    return False
+    """Return True for a header of comma-separated words that has a word, whatever its weight."""
+    words = (word.partition(";")[0] for line in headers.get_all(header) for word in line.split(","))
+    return any(word.strip().lower() == token for word in words)
 
 
 class HttpHandler:
@@ -410,7 +389,7 @@ class HttpHandler:
             return HttpResponse.of_text(HTTPStatus.NOT_FOUND, "this is no path to a file")
         if name in self._routes:
             return await self._routes[name](request)
-        gzipped = accepts_gzip(request.headers) and PurePath(name).suffix.lower() not in _COMPRESSED
+        gzipped = names(request.headers, "Accept-Encoding", "gzip") and PurePath(name).suffix.lower() not in _COMPRESSED
         area, _, inner = name.partition("/")
         try:
             if area == ROBOT:
@@ -429,7 +408,7 @@ class HttpHandler:
 
     async def _page_file(self, name: str, gzipped: bool) -> HttpResponse:
         if name in ("", INDEX) and not page_is_built(self._page_directory):
-            return HttpResponse.of_data(HTTPStatus.NOT_FOUND, NOT_BUILT.encode(), "text/html; charset=utf-8")
+            return HttpResponse.of_text(HTTPStatus.NOT_FOUND, f"armbridge is running; {HOW_TO_BUILD_PAGE}")
         file = await self._page_files.read(lambda: find_page_file(self._page_directory, name), gzipped=gzipped)
         keeping = _FOR_EVER if _HASHED.fullmatch(name) else _ASK_AGAIN
         return HttpResponse.of_file(file, media_type(name or INDEX), keeping, {"Content-Security-Policy": self._policy})

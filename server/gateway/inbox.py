@@ -17,6 +17,7 @@ from protocol.codecs.json import is_light
 from protocol.operations import Operation
 from protocol.session import Packed, Refusal
 from robot.stop_epochs import STOP_EPOCHS
+from server.access.authorization import is_cancel, is_stop
 from server.arrival import arrived_in
 from server.gateway.client_context import ClientContext
 from server.graph.message_types import PostponedError, ReceivedMessage
@@ -64,7 +65,7 @@ class Inbox:
     def __init__(self, client: Client, context: ClientContext) -> None:
         self.client = client
         self._session = context.session
-        self._types = context.graph.message_types
+        self._graph = context.graph
         self._turns = context.gateway.turns
         self._transport = context.transport
         self._clock = context.clock
@@ -193,7 +194,11 @@ class Inbox:
     def _take_ahead(self, waiting: Waiting) -> bool:
         """Take a stop or a cancel into its lane; return False for any other operation, which waits for its turn."""
         operation = waiting.item
-        if waiting.repeated or not isinstance(operation, Operation) or not self.client.is_urgent(operation):
+        if waiting.repeated or not isinstance(operation, Operation):
+            return False
+        # The goal of a cancel may wait behind other operations of this client, so a cancel is repeated in its turn.
+        cancels = is_cancel(operation, self._graph)
+        if not cancels and not is_stop(operation, self._graph):
             return False
         # Its frame may be long; its message is not, and is completed at once.
         ahead = replace(waiting, size_bytes=0)
@@ -205,8 +210,8 @@ class Inbox:
         else:
             self._next_stop_s = self._clock() + STOP_PERIOD_S
             self._carry_out(ahead, operation)
-        waiting.repeated = self.client.is_repeated(operation)
-        return not waiting.repeated
+        waiting.repeated = cancels
+        return not cancels
 
     def _work_off_stops(self) -> None:
         if self._closed:
@@ -254,7 +259,7 @@ class Inbox:
             return
 
         def complete() -> None:
-            postponed.message.complete(self._types, postponed.type_name)
+            postponed.message.complete(self._graph.message_types, postponed.type_name)
 
         self._run(complete, waiting)
 

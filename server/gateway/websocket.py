@@ -2,9 +2,8 @@
 
 Control frames, fragments and everything unusual are for ``ServerProtocol``, the documented sans-I/O interface of
 websockets. Whole messages, nearly all that clients send, are read here, which saves a quarter of the time of a flood.
-Their mask is taken off by ``websockets.speedups.apply_mask``, and a key is answered by ``websockets.utils.accept_key``,
-the two names in use that websockets does not document: so pyproject.toml bounds its version, and each new major version
-has to be tried.
+Their mask is taken off by ``websockets.speedups.apply_mask``, the one name in use that websockets does not document: so
+pyproject.toml bounds its version, and each new major version has to be tried.
 """
 
 import asyncio
@@ -24,7 +23,6 @@ from websockets.http11 import Request, Response
 from websockets.protocol import State
 from websockets.server import ServerProtocol
 from websockets.speedups import apply_mask
-from websockets.utils import accept_key
 
 from robot.stop_epochs import STOP_EPOCHS
 from server.gateway.admission import AdmissionPolicy, ConnectionLimiter, HandshakeRequest
@@ -85,34 +83,6 @@ def read_request(data: bytes) -> tuple[Request, int] | None:
     if has_body and method not in _MAY_HAVE_BODY:
         raise RequestError(f"{method} with a body")
     return Request(path, headers, method, protocol), head_bytes
-
-
-# As nearly all clients ask for a WebSocket (RFC 6455, 4.2.1); the key is 16 bytes in base64.
-_UPGRADE = {
-    "Upgrade": re.compile("websocket", re.IGNORECASE),
-    "Connection": re.compile("(?:keep-alive, ?)?upgrade", re.IGNORECASE),
-    "Sec-WebSocket-Key": re.compile("[A-Za-z0-9+/]{22}=="),
-    "Sec-WebSocket-Version": re.compile("13"),
-}
-_ACCEPTED = (
-    "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {}\r\n\r\n"
-)
-
-
-def accept(request: Request, protocol: ServerProtocol) -> tuple[bytes, bool]:
-    """Return the answer to a request for a WebSocket, and True if that opens it.
-
-    Other requests than usual are for websockets to judge, which takes a tenth of the time that a connection costs.
-    """
-    given = [request.headers.get_all(name) for name in _UPGRADE]
-    is_usual = (request.method, request.protocol) == ("GET", "HTTP/1.1") and all(
-        len(values) == 1 and pattern.fullmatch(values[0])
-        for values, pattern in zip(given, _UPGRADE.values(), strict=True)
-    )
-    if is_usual:
-        return _ACCEPTED.format(accept_key(request.headers["Sec-WebSocket-Key"])).encode(), True
-    response = protocol.accept(request)
-    return response.serialize(), response.status_code == HTTPStatus.SWITCHING_PROTOCOLS
 
 
 # Clients send their request at once; a slow one only holds the connection (slow loris).
@@ -216,9 +186,9 @@ class WebSocket(Transport):
             self._close_after_replies()
         elif upgrade:
             self.identity = admitted
-            answer, opens = accept(request, self._protocol)
-            self._write((answer,))
-            if opens:
+            response = self._protocol.accept(request)
+            self._write((response.serialize(),))
+            if response.status_code == HTTPStatus.SWITCHING_PROTOCOLS:
                 self._open(request)
             else:
                 self._close_after_replies()

@@ -47,35 +47,34 @@ class TypedNames:
 
     def __init__(self) -> None:
         self.revision = 0
-        # By dialect, name and spelling of the type in that dialect.
-        self._types: dict[Dialect, dict[str, str]] = {"ros2": {}, "ros1": {}}
+        self._types: dict[str, str] = {}
         # Every spelling of a type can be converted to ROS 1's.
         self._by_type: Index[str, str] = Index()
 
     def __len__(self) -> int:
-        return len(self._types["ros2"])
+        return len(self._types)
 
     def add(self, name: str, type_name: str) -> None:
         """Enter a fully qualified name that is not there, with the canonical name of its type."""
-        spelled = spell_type(type_name, "ros1")
-        self._types["ros2"][name] = type_name
-        self._types["ros1"][name] = spelled
-        self._by_type.add(spelled, name)
+        self._types[name] = type_name
+        self._by_type.add(spell_type(type_name, "ros1"), name)
         self.revision += 1
 
     def remove(self, name: str) -> None:
         """Take a name away that is there."""
-        del self._types["ros2"][name]
-        self._by_type.discard(self._types["ros1"].pop(name), name)
+        self._by_type.discard(spell_type(self._types.pop(name), "ros1"), name)
         self.revision += 1
 
     def type_of(self, name: str, dialect: Dialect = "ros2") -> str | None:
         """Return the type of a fully qualified name, spelled in a dialect; None for a name that is not in use."""
-        return self._types[dialect].get(name)
+        type_name = self._types.get(name)
+        return None if type_name is None else spell_type(type_name, dialect)
 
     def types(self, dialect: Dialect = "ros2") -> dict[str, str]:
         """Return the type of every name, spelled in a dialect."""
-        return self._types[dialect].copy()
+        if dialect == "ros2":
+            return self._types.copy()
+        return {name: spell_type(type_name, dialect) for name, type_name in self._types.items()}
 
     def of_type(self, type_name: str) -> list[str]:
         """Return the names that have a type, in order of entry; none for an unknown type."""

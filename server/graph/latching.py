@@ -6,6 +6,7 @@ A message whose publisher has left has an end; it goes before, when another one 
 
 import math
 from collections import Counter, OrderedDict, deque
+from collections.abc import Callable
 from typing import NamedTuple
 
 from protocol.publication import PublishedMessage
@@ -31,22 +32,17 @@ class _Kept(NamedTuple):
     client: Node | None = None
 
 
-class _Share:
-    def __init__(self) -> None:
-        self.size_bytes = 0
-        self.ending: OrderedDict[str, None] = OrderedDict()
-
-
 class LatchedMessages:
     """Latched and recent messages of all topics, for those who subscribe later."""
 
     def __init__(self) -> None:
         self._latched: dict[str, _Kept] = {}
-        self._of_server, self._of_clients = _Share(), _Share()
+        # Topics whose latched message has an end, the earliest first.
+        self._ending: OrderedDict[str, None] = OrderedDict()
         # Last messages of the server's own topics, as many of each as it has asked for.
         self._histories: dict[str, deque[PublishedMessage]] = {}
-        # Size of what each client has latched that has no end [bytes].
-        self._by_client: Counter[Node] = Counter()
+        # Size of what each client has latched, and the server, which is None here [bytes].
+        self._sizes: Counter[Node | None] = Counter()
         # By topic, oldest first; the topics in order of their newest message, so that those in front have the oldest.
         self._recent: OrderedDict[str, deque[_Kept]] = OrderedDict()
         self._recent_bytes = 0
@@ -58,42 +54,45 @@ class LatchedMessages:
         problem = self._make_room(size_bytes, client)
         if problem is None:
             self._latched[published.topic] = _Kept(published, size_bytes, math.inf, client)
-            self._share(client).size_bytes += size_bytes
-            if client is not None:
-                self._by_client[client] += size_bytes
+            self._sizes[client] += size_bytes
         return problem
 
     def _make_room(self, size_bytes: int, client: Node | None) -> str | None:
         """Give up messages that have an end, the earliest first, for one more; return the limit if that fails."""
-        share, limit, holder = self._of_server, MAX_SERVER_LATCHED_BYTES, "the server has"
-        if client is not None:
-            share, limit, holder = self._of_clients, MAX_CLIENTS_LATCHED_BYTES, "all clients have"
-            with_it = self._by_client[client] + size_bytes
-            if with_it > MAX_CLIENT_LATCHED_BYTES:
-                return f"this client has {with_it} bytes latched with it, the limit is {MAX_CLIENT_LATCHED_BYTES}"
-        while share.ending and share.size_bytes + size_bytes > limit:
-            self.unlatch(next(iter(share.ending)))
-        with_it = share.size_bytes + size_bytes
-        return None if with_it <= limit else f"{holder} {with_it} bytes latched with it, the limit is {limit}"
+        if client is None:
+            return self._limit_within("the server has", size_bytes, MAX_SERVER_LATCHED_BYTES, lambda each: each is None)
+        return self._limit_within(
+            "this client has", size_bytes, MAX_CLIENT_LATCHED_BYTES, lambda each: each is client
+        ) or self._limit_within(
+            "all clients have", size_bytes, MAX_CLIENTS_LATCHED_BYTES, lambda each: each is not None
+        )
+
+    def _limit_within(
+        self, holders: str, size_bytes: int, limit_bytes: int, holds: Callable[[Node | None], bool]
+    ) -> str | None:
+        """Keep a limit of what some hold together, with one more message; return the sentence if that fails."""
+        ending = iter([topic for topic in self._ending if holds(self._latched[topic].client)])
+        while (with_it := size_bytes + sum(size for each, size in self._sizes.items() if holds(each))) > limit_bytes:
+            if (topic := next(ending, None)) is None:
+                return f"{holders} {with_it} bytes latched with it, the limit is {limit_bytes}"
+            self.unlatch(topic)
+        return None
 
     def unlatch(self, topic: str) -> None:
         kept = self._latched.pop(topic, None)
         if kept is not None:
-            self._discharge(kept)
-            share = self._share(kept.client)
-            share.size_bytes -= kept.size_bytes
-            share.ending.pop(topic, None)
+            self._ending.pop(topic, None)
+            self._sizes[kept.client] -= kept.size_bytes
+            if not self._sizes[kept.client]:
+                del self._sizes[kept.client]
 
     def unlatch_at(self, topic: str, until_s: float) -> None:
         """Keep the latched message, if there is one, until then and no longer [s]; later ends are set later."""
         kept = self._latched.get(topic)
         if kept is not None:
-            # What goes as soon as somebody needs the room is no burden on its client.
-            self._discharge(kept)
             self._latched[topic] = kept._replace(until_s=until_s)
-            share = self._share(kept.client)
-            share.ending[topic] = None
-            share.ending.move_to_end(topic)
+            self._ending[topic] = None
+            self._ending.move_to_end(topic)
 
     def keep(self, published: PublishedMessage, now: float, lifespan_s: float) -> None:
         """Keep a message for a while [s], the same for all; one larger than the bound is not kept."""
@@ -131,9 +130,8 @@ class LatchedMessages:
         self._recent_bytes -= sum(kept.size_bytes for kept in self._recent.pop(topic, ()))
 
     def give_up_old(self, now: float) -> None:
-        for share in (self._of_server, self._of_clients):
-            while share.ending and self._latched[topic := next(iter(share.ending))].until_s < now:
-                self.unlatch(topic)
+        while self._ending and self._latched[topic := next(iter(self._ending))].until_s < now:
+            self.unlatch(topic)
         self._give_up_recent(now)
 
     def _give_up_recent(self, now: float) -> None:
@@ -145,13 +143,3 @@ class LatchedMessages:
             self._recent_bytes -= recent.popleft().size_bytes
             if not recent:
                 del self._recent[topic]
-
-    def _share(self, client: Node | None) -> _Share:
-        return self._of_server if client is None else self._of_clients
-
-    def _discharge(self, kept: _Kept) -> None:
-        """Take a message off its client's account, unless that was done when it got its end."""
-        if kept.client is not None and kept.until_s == math.inf:
-            self._by_client[kept.client] -= kept.size_bytes
-            if not self._by_client[kept.client]:
-                del self._by_client[kept.client]

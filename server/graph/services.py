@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
 from robot.errors import RobotError
-from server.errors import RefusedError, ServerError, ServiceError, UnsuccessfulError
+from server.errors import ServerError, UnsuccessfulError
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node, Rule
@@ -24,8 +24,8 @@ from server.timers import CallLater
 log = logging.getLogger("armbridge.graph")
 
 
-# Fields of a response message; any of them may be left out.
-Answered: TypeAlias = Mapping[str, Any] | CompleteResponse
+# Fields of a response message; any of them may be left out. A sentence is the ``message`` of a success.
+Answered: TypeAlias = str | Mapping[str, Any] | CompleteResponse
 
 # Offered by a local part: request in, response out, both in ROS 2 spelling.
 ServiceFunction: TypeAlias = Callable[[dict[str, Any]], Answered | Awaitable[Answered]]
@@ -67,6 +67,15 @@ class Call(PendingRequest[Response]):
         """Answer that it failed, with a sentence or with what the provider gave."""
         self._end(Response(ok=False, values=values))
 
+    def refuse(self, reason: str) -> None:
+        """Answer why nothing was done: by ``success`` and ``message``, or as a failure if the response lacks these."""
+        response = self._message_types.registry.message(f"{self.type_name}_Response")
+        if {"success", "message"} <= {field.name for field in response.fields}:
+            log.info("%s: %s", self.service, reason)
+            self.succeed({"success": False, "message": reason})
+        else:
+            self.fail(reason)
+
 
 def answer(call: Call, function: ServiceFunction) -> None:
     """Have a local part's function answer a call; what it answers at once costs no task."""
@@ -77,12 +86,16 @@ def answer(call: Call, function: ServiceFunction) -> None:
             # Keeps the task alive, which the event loop does not, and ends it when nobody waits any more.
             call.when_ended(lambda _response: task.cancel())
         else:
-            call.succeed(values)
+            call.succeed(_response(values))
 
 
 async def _answer_later(call: Call, values: Awaitable[Answered]) -> None:
     with failure_told(call):
-        call.succeed(await values)
+        call.succeed(_response(await values))
+
+
+def _response(values: Answered) -> object:
+    return {"success": True, "message": values} if isinstance(values, str) else values
 
 
 @contextlib.contextmanager
@@ -90,41 +103,13 @@ def failure_told(call: Call) -> Iterator[None]:
     """Fail a call that the block cannot answer, with the reason."""
     try:
         yield
-    except ServiceError as error:
-        call.fail(str(error))
     except UnsuccessfulError as error:
         call.succeed(error.response, str(error))
+    except (ServerError, RobotError) as error:
+        call.refuse(str(error))
     except Exception:  # a bug in a service must not leave its caller waiting
         log.exception("service %s failed", call.service)
         call.fail(f"Service {call.service} failed inside the server")
-
-
-def answering(work: Callable[[dict[str, Any]], str]) -> Callable[[dict[str, Any]], dict[str, Any]]:
-    """Return a service that answers by ``success`` and ``message``: the sentence that work returns, or a refusal's."""
-
-    def serve(request: dict[str, Any]) -> dict[str, Any]:
-        try:
-            return {"success": True, "message": work(request)}
-        except (ServerError, RobotError) as error:
-            return {"success": False, "message": str(error)}
-
-    return serve
-
-
-Work: TypeAlias = Callable[[Mapping[str, Any]], Awaitable[Answered]]
-
-
-def telling(name: str, work: Work, log: logging.Logger) -> Work:
-    """Return a service that answers a refusal by its fields ``success`` and ``message``, and logs it."""
-
-    async def serve(request: Mapping[str, Any]) -> Answered:
-        try:
-            return await work(request)
-        except (ServiceError, RefusedError) as error:
-            log.warning("%s: %s", name, error)
-            return {"success": False, "message": str(error)}
-
-    return serve
 
 
 # A local part may plan a motion meanwhile; the planners' own deadline is shorter.
@@ -157,7 +142,7 @@ class Services(Providers[Call]):
         *,
         rule: Rule | None = None,
     ) -> None:
-        """Offer a service of a local part; its function returns or raises ServiceError.
+        """Offer a service of a local part; its function returns, or raises a ServerError or RobotError.
 
         Without a rule it has a client's. Raises GraphError for an unknown type or a name of another part.
         """

@@ -314,7 +314,7 @@ class Graph:
     def relay(self, node: Node, name: str, encoded: bytes, lifespan_s: float) -> None:
         """Deliver a message to every subscriber, as :meth:`publish` does; the topic and its publisher are there."""
         topic, types = self._topics[name], self.message_types
-        published = PublishedMessage(name, topic.type_name, encoded, types.registry, types.wall_clock(), node)
+        published = PublishedMessage(name, topic.type_name, encoded, types.registry, types.now(), node)
         self._distribute(topic, published, node, lifespan_s)
 
     def _distribute(self, topic: Topic, published: PublishedMessage, node: Node, lifespan_s: float) -> str | None:

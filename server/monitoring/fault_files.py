@@ -1,13 +1,12 @@
-"""Files about faults: the last minute before each, for a person who looks for its cause, or reports it.
+"""Files about faults: what came before each, for a person who looks for its cause, or reports it.
 
-A file has a JSON object a line: the fault, the last report of the arm's health, the lines of the log, and the states of
-the joints.
+A file has a JSON object a line: the fault, the last report of the arm's health, the last minute of the log, and the
+last states of the joints.
 """
 
 import asyncio
 import dataclasses
 import logging
-import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -30,10 +29,8 @@ PREFIX = "fault-"
 
 WINDOW_S = 60.0
 
-# The minute at this rate, and its last seconds at the rate of the states, which come 100 times a second at most.
-SLOW_PERIOD_S = 0.1
-SLOW_SAMPLES = round(WINDOW_S / SLOW_PERIOD_S)
-FAST_SAMPLES = 500
+# Of these states, which come 100 times a second at most, the file has some 300 kB.
+MAX_STATES = 1000
 
 # A client that causes and resets faults without end must not wear out a memory card; the next file logs this fault.
 LEAST_INTERVAL_S = 10.0
@@ -47,37 +44,6 @@ _QUANTITIES = ("position_rad", "goal_rad", "load", "current_a")
 
 # Time [s], and the quantities of all joints, shape (quantities, joints).
 Sample = tuple[float, NDArray[np.float64]]
-
-
-class StateTrace:
-    """States of the joints over the last minute, the last seconds of them more closely."""
-
-    def __init__(self) -> None:
-        self._names: tuple[str, ...] = ()
-        self._slow: deque[Sample] = deque(maxlen=SLOW_SAMPLES)
-        self._fast: deque[Sample] = deque(maxlen=FAST_SAMPLES)
-
-    def add(self, state: ArmState) -> None:
-        """Keep a state; one without positions has nothing to keep."""
-        arrays = (state.position_rad, state.goal_rad, state.load, state.current_a)
-        if len(present := [array for array in arrays if array is not None]) < len(arrays):
-            return
-        if state.joint_names != self._names:
-            self._names = state.joint_names
-            self._slow.clear()
-            self._fast.clear()
-        sample = state.clock_s, np.array(present)
-        self._fast.append(sample)
-        # The clock of a process that has started again may be behind.
-        if not self._slow or not 0.0 <= state.clock_s - self._slow[-1][0] < SLOW_PERIOD_S:
-            self._slow.append(sample)
-
-    def minute(self, end_s: float) -> list[Sample]:
-        """Return the samples of the minute before a time of the arm's clock [s], oldest first, with the time to it."""
-        fast = [sample for sample in self._fast if sample[0] >= end_s - WINDOW_S]
-        fast_from_s = fast[0][0] if fast else math.inf
-        slow = [sample for sample in self._slow if end_s - WINDOW_S <= sample[0] < fast_from_s]
-        return [(at_s - end_s, values) for at_s, values in slow + fast]
 
 
 class FaultFiles:
@@ -96,7 +62,8 @@ class FaultFiles:
         self._log_ring = log_ring
         self._robot_name = robot_name
         self._clock = clock
-        self._trace = StateTrace()
+        self._joint_names: tuple[str, ...] = ()
+        self._samples: deque[Sample] = deque(maxlen=MAX_STATES)
         self._state: ArmState | None = None
         self._health: ArmHealth | None = None
         self._written_s = -np.inf
@@ -111,7 +78,7 @@ class FaultFiles:
         if self._files is None:
             return
         before, self._state = self._state, state
-        self._trace.add(state)
+        self._keep(state)
         fault = state.fault
         if fault is not None and (before is None or fault != before.fault):
             about = {"code": fault.code.value, "message": fault.message, "remedy": fault.remedy, "joint": fault.joint}
@@ -128,6 +95,16 @@ class FaultFiles:
         self._writing.add(task)
         task.add_done_callback(self._writing.discard)
 
+    def _keep(self, state: ArmState) -> None:
+        """Keep the figures of a state; one without positions has none."""
+        arrays = [array for name in _QUANTITIES if (array := getattr(state, name)) is not None]
+        if len(arrays) < len(_QUANTITIES):
+            return
+        if state.joint_names != self._joint_names:
+            self._joint_names = state.joint_names
+            self._samples.clear()
+        self._samples.append((state.clock_s, np.array(arrays)))
+
     async def close(self) -> None:
         """Wait until the files that were begun are written."""
         if self._writing:
@@ -136,10 +113,12 @@ class FaultFiles:
     async def _write(self, series: FileSeries, about: dict[str, str], state: ArmState) -> None:
         now = datetime.fromtimestamp(state.stamp_s, UTC)
         name = f"{now:%Y%m%dT%H%M%S.%fZ}-{about['code']}"
-        head, samples = [*self._head(about, state)], self._trace.minute(state.clock_s)
+        head, end_s = [*self._head(about, state)], state.clock_s
+        # The clock of a process that has started again may be behind.
+        samples = [(at_s - end_s, values) for at_s, values in self._samples if 0.0 <= end_s - at_s <= WINDOW_S]
 
         # In a thread, as it takes some milliseconds.
-        def content(_stem: str) -> bytes:
+        def content() -> bytes:
             # A number that is none, or infinite, is null.
             options = orjson.OPT_APPEND_NEWLINE | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
             return b"".join(orjson.dumps(line, option=options) for line in (*head, *map(_state_line, samples)))

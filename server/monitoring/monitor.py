@@ -347,7 +347,6 @@ class Monitor:
 
     def check(self, now_s: float) -> None:
         """Notify systemd of changes, and of the server being alive."""
-        self._notifier.flush()
         watchdog_s = self._notifier.watchdog_s
         health = check_health(self._sources)
         status = "; ".join(health.reasons or health.warnings) or "ready"

@@ -32,8 +32,7 @@ HIDDEN = "***"
 # A shorter text is no token, and may stand anywhere.
 LEAST_SECRET_CHARACTERS = 8
 
-# All files about faults together, the newest first; they shrink to a tenth in the archive.
-MAX_FAULT_BYTES = 10_000_000
+# The newest files about faults, of some 300 kB each; they shrink to a tenth in the archive.
 MAX_FAULT_FILES = 20
 
 # Of a file that is copied; a robot.toml has a few kilobytes.
@@ -45,7 +44,7 @@ PROBLEMS = "problems.txt"
 # Beginning of the members' names, and their content.
 CONTENTS: Mapping[str, str] = {
     "settings.json": "every setting with its source; tokens and the names of their owners are left out",
-    "versions.json": "armbridge, Python, operating system, kernel, processor, memory, and rights of the user",
+    "versions.json": "armbridge, Python, operating system and processor",
     "packages.txt": "installed Python packages",
     "ports.json": "serial ports of this machine",
     "arm/": "robot.toml and the calibration in use",
@@ -149,7 +148,9 @@ def add_settings(report: Report, settings: Settings, sources: Mapping[str, str])
 
 def add_machine(report: Report) -> None:
     with report.part("versions"):
-        report.add_json("versions.json", _versions())
+        # Kernel, processor and WSL are in the system's name; the machine's own name is not.
+        system = {"python": sys.version, "system": platform.platform(), "cores": os.cpu_count()}
+        report.add_json("versions.json", {"armbridge": metadata.version("armbridge"), **system})
     with report.part("packages"):
         packages = {(each.metadata["Name"] or "?", each.version) for each in metadata.distributions()}
         report.add("packages.txt", "".join(f"{name}=={version}\n" for name, version in sorted(packages)))
@@ -158,61 +159,9 @@ def add_machine(report: Report) -> None:
 
 
 def add_faults(report: Report, directory: Path) -> None:
-    left = MAX_FAULT_BYTES
     for path in sorted(directory.glob(f"{PREFIX}*.jsonl"), reverse=True)[:MAX_FAULT_FILES]:
         with report.part(f"faults/{path.name}"):
-            left -= path.stat().st_size
-            if left < 0:
-                report.note(f"faults: those before {path.name} are left out, of more than {MAX_FAULT_BYTES} bytes")
-                return
             report.add(f"faults/{path.name}", path.read_text(errors="replace"))
-
-
-def _versions() -> dict[str, Any]:
-    # Without the machine's name, which platform.platform() leaves out as well.
-    return {
-        "armbridge": metadata.version("armbridge"),
-        "python": sys.version,
-        "system": platform.platform(),
-        "distribution": _distribution(),
-        "kernel": platform.release(),
-        "wsl": "microsoft" in platform.release().lower(),
-        "container": Path("/.dockerenv").exists() or Path("/run/.containerenv").exists(),
-        "processor": _field(Path("/proc/cpuinfo"), "model name") or platform.machine(),
-        "board": _text(Path("/proc/device-tree/model")).strip("\0\n"),
-        "cores": os.cpu_count(),
-        "memory": _field(Path("/proc/meminfo"), "MemTotal"),
-        "groups": _groups(),
-    }
-
-
-def _distribution() -> str:
-    with contextlib.suppress(OSError):
-        return platform.freedesktop_os_release().get("PRETTY_NAME", "")
-    return ""
-
-
-def _groups() -> list[str]:
-    """Return the names of the user's groups; one may open serial ports."""
-    import grp
-
-    found = []
-    for number in os.getgroups():
-        with contextlib.suppress(KeyError):
-            found.append(grp.getgrgid(number).gr_name)
-    return found
-
-
-def _field(path: Path, name: str) -> str:
-    found = re.search(rf"^{re.escape(name)}\s*:\s*(.*)$", _text(path), re.MULTILINE)
-    return found[1].strip() if found else ""
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(errors="replace")
-    except OSError:
-        return ""
 
 
 def _port(port: Any) -> dict[str, Any]:

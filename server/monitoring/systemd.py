@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import os
 import socket
-from collections import deque
 from collections.abc import MutableMapping
 
 log = logging.getLogger("armbridge.monitoring")
@@ -15,16 +14,12 @@ _ABSTRACT = "@"
 
 _US_PER_S = 1_000_000
 
-# Notifications that are kept while systemd does not read, the newest.
-MAX_UNSENT = 8
-
 
 class SystemdNotifier:
     """Sends notifications to systemd's datagram socket; after ``watchdog_s`` of silence systemd ends the server."""
 
     def __init__(self, address: str = "", watchdog_s: float = 0.0) -> None:
         self.watchdog_s = watchdog_s if address else 0.0
-        self._unsent: deque[bytes] = deque(maxlen=MAX_UNSENT)
         # None without systemd, and once closed.
         self._socket = _connected(address) if address else None
 
@@ -46,38 +41,23 @@ class SystemdNotifier:
         self._send(f"STATUS={status}")
 
     def notify_watchdog(self) -> None:
-        if not self._unsent:
-            self._send("WATCHDOG=1")
+        self._send("WATCHDOG=1")
 
     def notify_stopping(self) -> None:
         self._send("STOPPING=1", "STATUS=stopping")
 
-    def flush(self) -> None:
-        """Send notifications that systemd had no room for."""
-        while self._unsent and self._is_sent(self._unsent[0]):
-            self._unsent.popleft()
-
     def close(self) -> None:
-        """Send the last notifications, and close the socket."""
-        self.flush()
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
     def _send(self, *assignments: str) -> None:
-        if self._socket is not None:
-            self._unsent.append("\n".join(each.replace("\n", " ") for each in assignments).encode())
-            self.flush()
-
-    def _is_sent(self, datagram: bytes) -> bool:
+        if self._socket is None:
+            return
         try:
-            if self._socket is not None:
-                self._socket.send(datagram)
-        except BlockingIOError:
-            return False
+            self._socket.send("\n".join(each.replace("\n", " ") for each in assignments).encode())
         except OSError as error:
             log.debug("systemd cannot be notified: %s", error)
-        return True
 
 
 def _connected(address: str) -> socket.socket | None:

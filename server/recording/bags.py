@@ -38,8 +38,7 @@ def messages(path: Path) -> Iterator[RecordedMessage]:
             except sqlite3.Error as error:
                 raise RecordingError(file, f"is no SQLite file of rosbag2: {error}") from error
         else:
-            for chunk in RecordingFile(file).chunks():
-                yield from chunk
+            yield from RecordingFile(file).messages()
 
 
 def _files(bag: Path) -> list[Path]:

@@ -24,6 +24,9 @@ CHUNK_BYTES = 524_288
 # Name of the metadata record (MCAP specification, "Metadata") with the server's own facts.
 METADATA_NAME = "armbridge"
 
+# A file numbers its channels with 16 bits (MCAP specification, "Channel"); with more the next file begins.
+MAX_CHANNELS = 65_535
+
 # No file is ever overwritten; a directory with more recordings of one name is a mistake.
 MAX_NUMBER = 100_000
 
@@ -99,19 +102,19 @@ class RecordingSeries:
         return self._paths[-1]
 
     def add(self, message: RecordedMessage) -> None:
-        if self._limit_bytes is not None:
-            # Without the chunk that is not complete yet.
-            if self._stream.tell() >= self._limit_bytes:
-                self.end({})
-                self._begin()
-                for latched in self._latched.values():
-                    self._write(latched._replace(log_time_ns=message.log_time_ns))
-            if message.latched:
-                previous = self._latched.pop(message.topic, None)
-                self._latched_bytes -= 0 if previous is None else len(previous.octets)
-                if self._latched_bytes + len(message.octets) <= MAX_LATCHED_BYTES:
-                    self._latched[message.topic] = message
-                    self._latched_bytes += len(message.octets)
+        # Without the chunk that is not complete yet.
+        full = self._limit_bytes is not None and self._stream.tell() >= self._limit_bytes
+        if full or len(self._channels) >= MAX_CHANNELS:
+            self.end({})
+            self._begin()
+            for latched in self._latched.values():
+                self._write(latched._replace(log_time_ns=message.log_time_ns))
+        if self._limit_bytes is not None and message.latched:
+            previous = self._latched.pop(message.topic, None)
+            self._latched_bytes -= 0 if previous is None else len(previous.octets)
+            if self._latched_bytes + len(message.octets) <= MAX_LATCHED_BYTES:
+                self._latched[message.topic] = message
+                self._latched_bytes += len(message.octets)
         self._write(message)
 
     def flush(self) -> None:

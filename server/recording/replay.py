@@ -18,9 +18,8 @@ from typing import BinaryIO
 import uvloop
 import zstandard
 from mcap.exceptions import McapError
-from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, McapRecord, Message, Schema
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.reader import NonSeekingReader, SeekingReader
+from mcap.records import Channel, Message, Schema
 
 from protocol.codecs import cdr
 from protocol.errors import ProtocolError
@@ -41,7 +40,9 @@ log = logging.getLogger("armbridge.recording")
 # rosbag2's chunks have a megabyte; a larger record than this is damage, or an image that could not be replayed.
 MAX_RECORD_BYTES = 268_435_456
 
-# Messages outside of chunks are yielded in groups of this size.
+MAGIC = b"\x89MCAP0\r\n"  # first bytes of a file (MCAP specification, "Magic")
+
+# Messages that a thread reads for the event loop at once.
 MESSAGES_AT_A_TIME = 500
 
 # Errors that the libraries raise for damaged data.
@@ -69,9 +70,10 @@ class Summary:
 
 
 class RecordingFile:
-    """MCAP file to read."""
+    """MCAP file to read; ``damaged`` once it was read up to an early end or octets that are no record."""
 
     def __init__(self, path: Path) -> None:
+        self.damaged = False
         self._path = path
 
     def summary(self) -> Summary:
@@ -85,12 +87,13 @@ class RecordingFile:
             raise RecordingError(self._path, f"has no messages of ROS 2{reason}")
         return summary
 
-    def chunks(self) -> Iterator[list[RecordedMessage]]:
-        """Yield the messages in the order of the file, a chunk at a time, up to the first damage."""
-        unpacker = _Unpacker(self._path)
-        with self._open() as stream:
-            yield from unpacker.chunks(stream)
-        if unpacker.damaged:
+    def messages(self) -> Iterator[RecordedMessage]:
+        """Yield the messages in the order of the file, up to the first damage."""
+        for topic, message in self._records():
+            if not topic.problem:
+                times = message.log_time, message.publish_time
+                yield RecordedMessage(topic.topic, topic.type_name, topic.latched, *times, message.data)
+        if self.damaged:
             log.warning("recording %s: what comes after the last readable chunk is left out", self._path)
 
     def _indexed_summary(self) -> Summary | None:
@@ -109,79 +112,34 @@ class RecordingFile:
         )
 
     def _counted_summary(self) -> Summary:
-        unpacker, messages = _Unpacker(self._path), 0
-        earliest_ns, latest_ns = math.inf, -math.inf
+        topics: dict[RecordedTopic, None] = {}
+        messages, earliest_ns, latest_ns = 0, math.inf, -math.inf
+        for topic, message in self._records():
+            topics[topic] = None
+            messages += not topic.problem
+            earliest_ns, latest_ns = min(earliest_ns, message.log_time), max(latest_ns, message.log_time)
+        return Summary(list(topics), messages, max(latest_ns - earliest_ns, 0.0) / 1e9, complete=not self.damaged)
+
+    def _records(self) -> Iterator[tuple[RecordedTopic, Message]]:
+        topics: dict[int, RecordedTopic] = {}
         with self._open() as stream:
-            for message in itertools.chain.from_iterable(unpacker.chunks(stream)):
-                messages += 1
-                earliest_ns = min(earliest_ns, message.log_time_ns)
-                latest_ns = max(latest_ns, message.log_time_ns)
-        duration_s = (latest_ns - earliest_ns) / 1e9 if messages else 0.0
-        return Summary(list(unpacker.topics.values()), messages, duration_s, complete=not unpacker.damaged)
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise RecordingError(self._path, "is not an MCAP file")
+            stream.seek(0)
+            reader = NonSeekingReader(stream, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+            try:
+                for schema, channel, message in reader.iter_messages(log_time_order=False):
+                    if channel.id not in topics:
+                        topics[channel.id] = _recorded_topic(channel, schema)
+                    yield topics[channel.id], message
+            except _DAMAGE:
+                self.damaged = True
 
     def _open(self) -> BinaryIO:
         try:
             return self._path.open("rb")
         except OSError as error:
             raise RecordingError(self._path, f"cannot be read: {error.strerror or error}") from error
-
-
-class _Unpacker:
-    """Unpacks the records of a file into messages; ``damaged`` by an early end or octets that are no record."""
-
-    def __init__(self, path: Path) -> None:
-        self.topics: dict[int, RecordedTopic] = {}
-        self.damaged = False
-        self._path = path
-        self._schemas: dict[int, Schema] = {}
-
-    def chunks(self, stream: BinaryIO) -> Iterator[list[RecordedMessage]]:
-        """Yield the messages of each chunk, and those outside of chunks in groups."""
-        outside: list[RecordedMessage] = []
-        for record in self._records(stream):
-            if isinstance(record, Chunk):
-                yield [message for inside in self._unpack(record) for message in self._messages(inside)]
-            else:
-                outside += self._messages(record)
-            if self.damaged:
-                break
-            if len(outside) >= MESSAGES_AT_A_TIME:
-                yield outside
-                outside = []
-        yield outside
-
-    def _records(self, stream: BinaryIO) -> Iterator[McapRecord]:
-        started = False
-        try:
-            for record in StreamReader(stream, emit_chunks=True, record_size_limit=MAX_RECORD_BYTES).records:
-                started = True
-                yield record
-        except _DAMAGE as error:
-            if not started:
-                raise RecordingError(self._path, "is not an MCAP file") from error
-            self.damaged = True
-
-    def _unpack(self, chunk: Chunk) -> list[McapRecord]:
-        try:
-            if chunk.uncompressed_size <= MAX_RECORD_BYTES:
-                return breakup_chunk(chunk, validate_crc=True)
-        except _DAMAGE:
-            log.debug("recording %s: a damaged chunk", self._path, exc_info=True)
-        self.damaged = True
-        return []
-
-    def _messages(self, record: McapRecord) -> list[RecordedMessage]:
-        """Register a schema or channel; return the message of a readable topic, or nothing."""
-        if isinstance(record, Schema):
-            self._schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.topics[record.id] = _recorded_topic(record, self._schemas.get(record.schema_id))
-        elif isinstance(record, Message):
-            topic = self.topics.get(record.channel_id)
-            if topic is not None and not topic.problem:
-                times = record.log_time, record.publish_time
-                return [RecordedMessage(topic.topic, topic.type_name, topic.latched, *times, record.data)]
-        return []
 
 
 def _recorded_topic(channel: Channel, schema: Schema | None) -> RecordedTopic:
@@ -284,8 +242,8 @@ class RecordingPlayer:
         """Publish every message at its time, once through the file."""
         loop = asyncio.get_running_loop()
         started_s, first_ns = loop.time(), None
-        chunks = self._recording.chunks()
-        while (messages := await asyncio.to_thread(next, chunks, None)) is not None:
+        recorded = self._recording.messages()
+        while messages := await asyncio.to_thread(lambda: list(itertools.islice(recorded, MESSAGES_AT_A_TIME))):
             for message in messages:
                 first_ns = message.log_time_ns if first_ns is None else first_ns
                 due_s = started_s + (message.log_time_ns - first_ns) / 1e9 / self._rate

@@ -1,6 +1,7 @@
 """Teaching by clients: the services under ``/teach/`` and the topic of the recording in progress."""
 
 import asyncio
+import functools
 import logging
 from typing import Any
 
@@ -11,9 +12,8 @@ from robot.description.model import RobotModel
 from robot.messages import ArmState, Mode
 from robot.trajectory import Vector
 from server.errors import ServiceError
-from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING, Rule
+from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, WORKING
 from server.graph.providers import CompleteResponse
-from server.graph.services import Work, telling
 from server.graph.topics import Graph
 from server.lifecycle import Feature
 from server.moveit.messages import Message
@@ -112,29 +112,31 @@ class Teaching(Feature):
     """Records motions, one at a time, and keeps them by name."""
 
     name = "teaching"
+    deadline_s = CLOSE_TIMEOUT_S + 0.1
 
     def __init__(self, graph: Graph, planning: PlanningContext, motions: MotionFiles) -> None:
         self._planning, self._robot, self._motions = planning, planning.robot, motions
         self._node = graph.node("teaching")
         self._recorder: TeachingRecorder | None = None
         self._state: ArmState | None = None
-        self._closing = False
+        self._closing, self._reading = False, asyncio.Lock()
         self._shown_at_s = 0.0
         self._told = f"nothing is recorded: {BEGIN} begins"
         # The recording that is being made a motion.
         self._finishing: asyncio.Task[dict[str, Any]] | None = None
         self._node.advertise(STATE_TOPIC, "armbridge_msgs/TeachState", latch=True)
         # To record moves nothing; a client that teaches may also drive.
-        self._offer(BEGIN, "armbridge_msgs/srv/BeginTeaching", self._begin, WORKING)
-        self._offer(END, "armbridge_msgs/srv/EndTeaching", self._end, WORKING)
-        self._offer(DISCARD, "std_srvs/srv/Trigger", self._discard, WORKING)
-        self._offer("/teach/get", "armbridge_msgs/srv/GetMotion", self._get, LOOKING)
-        self._offer("/teach/check", "armbridge_msgs/srv/CheckMotion", self._check, PLANNING)
-        self._offer("/teach/save", "armbridge_msgs/srv/SaveMotion", self._save, CONFIGURING)
-        self._offer("/teach/delete", "armbridge_msgs/srv/DeleteMotion", self._delete, CONFIGURING)
-        self._offer("/teach/rename", "armbridge_msgs/srv/RenameMotion", self._rename, CONFIGURING)
-        self._offer("/teach/trim", "armbridge_msgs/srv/TrimMotion", self._trim, CONFIGURING)
-        self._node.offer("/teach/list", "armbridge_msgs/srv/ListMotions", self._list, rule=LOOKING)
+        offer = functools.partial(self._node.offer, limits=TRAJECTORY_LIMITS)
+        offer(BEGIN, "armbridge_msgs/srv/BeginTeaching", self._begin, rule=WORKING)
+        offer(END, "armbridge_msgs/srv/EndTeaching", self._end, rule=WORKING)
+        offer(DISCARD, "std_srvs/srv/Trigger", self._discard, rule=WORKING)
+        offer("/teach/get", "armbridge_msgs/srv/GetMotion", self._get, rule=LOOKING)
+        offer("/teach/check", "armbridge_msgs/srv/CheckMotion", self._check, rule=PLANNING)
+        offer("/teach/save", "armbridge_msgs/srv/SaveMotion", self._save, rule=CONFIGURING)
+        offer("/teach/delete", "armbridge_msgs/srv/DeleteMotion", self._delete, rule=CONFIGURING)
+        offer("/teach/rename", "armbridge_msgs/srv/RenameMotion", self._rename, rule=CONFIGURING)
+        offer("/teach/trim", "armbridge_msgs/srv/TrimMotion", self._trim, rule=CONFIGURING)
+        offer("/teach/list", "armbridge_msgs/srv/ListMotions", self._list, rule=LOOKING)
         self._show()
 
     @property
@@ -167,7 +169,7 @@ class Teaching(Feature):
 
     # Recording.
 
-    async def _begin(self, request: Message) -> dict[str, Any]:
+    async def _begin(self, request: Message) -> str:
         self._check_idle()
         joints = joints_to_teach(self._robot, request["group"])
         state = self._state
@@ -182,10 +184,7 @@ class Teaching(Feature):
         self._told = _DRIVEN if state.torque_enabled else _HELD_BY_HAND
         self._show()
         log.info("recording of the motion %r begins", request["name"])
-        return {
-            "success": True,
-            "message": f"{', '.join(joints)} are recorded for at most {MAX_DURATION_S:g} s; {self._told}",
-        }
+        return f"{', '.join(joints)} are recorded for at most {MAX_DURATION_S:g} s; {self._told}"
 
     def _check_idle(self) -> None:
         if self._recorder is not None:
@@ -199,13 +198,13 @@ class Teaching(Feature):
         # The motion is saved also when the caller leaves meanwhile.
         return await asyncio.shield(self._finish(self._recorder, ""))
 
-    async def _discard(self, _request: Message) -> dict[str, Any]:
+    def _discard(self, _request: Message) -> str:
         if self._recorder is None:
             raise ServiceError(f"nothing is recorded; {self._told}")
         name, self._recorder = self._recorder.name, None
         self._told = f"the recording of {name!r} is discarded"
         self._show()
-        return {"success": True, "message": self._told}
+        return self._told
 
     def _finish(self, recorder: TeachingRecorder, reason: str) -> asyncio.Task[dict[str, Any]]:
         """End a recording; return the task that makes it a motion and answers as ``/teach/end``."""
@@ -245,10 +244,12 @@ class Teaching(Feature):
         return {"names": await self._motions.names()}
 
     async def _get(self, request: Message) -> CompleteResponse:
-        motion = await self._motions.load(request["name"])
+        # One at a time: the event loop, and a stop, would wait for the interpreter's lock behind each thread.
+        async with self._reading:
+            motion = await self._motions.load(request["name"])
+            # As many points as a client may send take longer to complete than everybody may be kept waiting.
+            trajectory = await asyncio.to_thread(to_message, motion)
         message = f"{motion.duration_s:.2f} s, {len(motion.time_s)} points"
-        # As many points as a client may send take longer to complete than everybody may be kept waiting.
-        trajectory = await asyncio.to_thread(to_message, motion)
         return CompleteResponse({"success": True, "message": message, "trajectory": trajectory})
 
     async def _check(self, request: Message) -> dict[str, Any]:
@@ -260,20 +261,20 @@ class Teaching(Feature):
         message = self._touches_nothing(motion, speed, answer)
         return {"success": True, "message": message, "duration_s": answer.trajectory.duration_s}
 
-    async def _save(self, request: Message) -> dict[str, Any]:
+    async def _save(self, request: Message) -> str:
         name = request["name"]
         motion = await asyncio.to_thread(from_message, request["trajectory"], self._robot)
         await self._motions.save(name, motion)
-        return {"success": True, "message": f"the motion {name!r} is saved; {await self._checked(motion)}"}
+        return f"the motion {name!r} is saved; {await self._checked(motion)}"
 
-    async def _delete(self, request: Message) -> dict[str, Any]:
+    async def _delete(self, request: Message) -> str:
         await self._motions.delete(request["name"])
-        return {"success": True, "message": f"the motion {request['name']!r} is deleted"}
+        return f"the motion {request['name']!r} is deleted"
 
-    async def _rename(self, request: Message) -> dict[str, Any]:
+    async def _rename(self, request: Message) -> str:
         name, new_name = request["name"], request["new_name"]
         await self._motions.rename(name, new_name)
-        return {"success": True, "message": f"the motion {name!r} is now {new_name!r}"}
+        return f"the motion {name!r} is now {new_name!r}"
 
     async def _trim(self, request: Message) -> dict[str, Any]:
         name = request["name"]
@@ -305,9 +306,6 @@ class Teaching(Feature):
         return answer
 
     # Messages.
-
-    def _offer(self, name: str, type_name: str, work: Work, rule: Rule) -> None:
-        self._node.offer(name, type_name, telling(name, work, log), limits=TRAJECTORY_LIMITS, rule=rule)
 
     def _show(self) -> None:
         message: dict[str, Any] = {"message": self._told}

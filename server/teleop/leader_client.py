@@ -32,7 +32,7 @@ class LeaderClient(PublishingClient):
     """
 
     def __init__(self, target: PublishedTopic, tell: Callable[[str], None]) -> None:
-        super().__init__(target, {target.topic: SAMPLE_TYPE}, tell)
+        super().__init__(target, SAMPLE_TYPE, tell)
         self._newest: asyncio.Queue[ArmState] = asyncio.Queue(1)
         self._reason = ""
 

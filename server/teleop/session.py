@@ -279,7 +279,7 @@ class FollowingSession:
         gripper = self._follower.gripper
         if self._gripper is not None and gripper is not None and (joint := gripper.joints[0].name) in targets:
             self._gripper_lead = targets[joint], leader_rad_s[joint]
-            self._gripper.go_on()
+            self._gripper.start()
         self._read_at_s = now_s - pose.latency_s
         self._show_targets(targets)
 

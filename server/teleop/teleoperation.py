@@ -6,17 +6,16 @@ import logging
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
+from robot.logs import LogLimiter
 from robot.messages import ArmState
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import is_stopped
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import check_ready
 from server.graph.permissions import STOPPING, SWITCHING, Node
-from server.graph.services import telling
 from server.graph.topics import Graph, LocalNode, Subscriber
 from server.lifecycle import Feature
 from server.moveit.messages import Message
@@ -76,7 +75,7 @@ class Leader:
         self.joint_names: tuple[str, ...] = ()
         self._clock = clock
         self._publisher: object = None
-        self._logged_at_s = -math.inf
+        self._log = LogLimiter(1, 1.0 / LOGGED_AGAIN_S)
 
     def take_state(self, state: ArmState) -> None:
         # What an arm with a fault reads may be old.
@@ -104,10 +103,7 @@ class Leader:
 
     def complain(self, text: str) -> None:
         """Log a fault of the topic, once in `LOGGED_AGAIN_S`."""
-        now_s = self._clock()
-        if now_s - self._logged_at_s > LOGGED_AGAIN_S:
-            self._logged_at_s = now_s
-            log.warning("%s: %s", self.name, text)
+        self._log.write(log, logging.WARNING, f"{self.name}: {text}", self.name, self._clock())
 
     def _take(self, sample: LeaderSample) -> None:
         self.samples.add(sample, self._clock())
@@ -129,6 +125,7 @@ class Teleoperation(Feature):
     """Has arms follow leaders, each follower one."""
 
     name = "teleoperation"
+    deadline_s = 0.5
 
     def __init__(
         self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]
@@ -149,7 +146,7 @@ class Teleoperation(Feature):
             self._offer_below(node, [name])
 
     def _offer_below(self, node: LocalNode, names: Sequence[str]) -> None:
-        async def start(request: Message) -> dict[str, Any]:
+        async def start(request: Message) -> str:
             follower = self._chosen_follower(request["follower"], names)
             if (other := self._followings.get(follower.name)) is not None:
                 does = "is starting to follow" if other.session is None else f"follows {other.leader.name}"
@@ -166,26 +163,26 @@ class Teleoperation(Feature):
                 self._forget(follower, following)
                 raise
 
-        async def stop(_request: Message) -> dict[str, Any]:
+        def stop(_request: Message) -> str:
             epoch = STOP_EPOCHS.begin()
             self._last_stops.update((name, epoch) for name in names)
             # A start in progress looks for the stop by itself.
             ended = [name for name in self._followings if name in names]
             for session in self._sessions(names).values() if ended else self._running(names).values():
                 session.end("stopped by a client")
-            return {"success": True, "message": f"{' and '.join(ended)} {_verb(ended, 'follow')} no more"}
+            return f"{' and '.join(ended)} {_verb(ended, 'follow')} no more"
 
-        async def set_clutch(request: Message) -> dict[str, Any]:
+        def set_clutch(request: Message) -> str:
             followings = self._running(names)
             for following in followings.values():
                 following.set_clutch(closed=request["data"])
             does = f"{_verb(followings, 'go')} to where the leader is" if request["data"] else _verb(followings, "hold")
-            return {"success": True, "message": f"{' and '.join(followings)} {does}"}
+            return f"{' and '.join(followings)} {does}"
 
         node.advertise(STATE_TOPIC, "armbridge_msgs/TeleopState", latch=True)
-        node.offer(START, "armbridge_msgs/srv/StartTeleop", telling(node.resolve(START), start, log), rule=SWITCHING)
-        node.offer(STOP, "std_srvs/srv/Trigger", telling(node.resolve(STOP), stop, log), rule=STOPPING)
-        node.offer(CLUTCH, "std_srvs/srv/SetBool", telling(node.resolve(CLUTCH), set_clutch, log), rule=SWITCHING)
+        node.offer(START, "armbridge_msgs/srv/StartTeleop", start, rule=SWITCHING)
+        node.offer(STOP, "std_srvs/srv/Trigger", stop, rule=STOPPING)
+        node.offer(CLUTCH, "std_srvs/srv/SetBool", set_clutch, rule=SWITCHING)
         idle = {"phase": "idle", "message": f"nothing follows: {node.resolve(START)} begins", "speed_scale": 1.0}
         node.publish(STATE_TOPIC, idle)
 
@@ -222,7 +219,7 @@ class Teleoperation(Feature):
             name, {joint.name.removeprefix(follower.prefix): joint.max_velocity for joint in joints}, self._clock
         )
 
-    async def _begin(self, request: Message, follower: Follower, following: _Following) -> dict[str, Any]:
+    async def _begin(self, request: Message, follower: Follower, following: _Following) -> str:
         self._check_not_stopped(follower)
         leader = following.leader
         self._queue.take_over(follower.joints, f"the leader {leader.name[:80]}")
@@ -256,7 +253,7 @@ class Teleoperation(Feature):
         following.session.start()
         followed = ", ".join(f"{link.follower} follows {link.leader}" for link in joints.links)
         log.info("%s follows %s", follower.name, leader.name)
-        return {"success": True, "message": f"{follower.name} goes to where {leader.name} is, then {followed}"}
+        return f"{follower.name} goes to where {leader.name} is, then {followed}"
 
     def _check_not_stopped(self, follower: Follower) -> None:
         """Refuse a start that a stop of the arm, or of its following, has overtaken."""

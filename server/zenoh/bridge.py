@@ -127,7 +127,7 @@ class Sharing:
 
     @property
     def dropped(self) -> int:
-        return self._outgoing.dropped + self._incoming.dropped
+        return self._network.dropped + self._incoming.received.dropped
 
     def end_tasks(self) -> None:
         """End the work for other machines that is in progress."""

@@ -91,9 +91,12 @@ class Declaration:
             self._declared.pop().undeclare()
 
 
-@dataclass(frozen=True)
+@dataclass
 class Network:
-    """Network with an open session, and this server's graph, whose names have a prefix there."""
+    """Network with an open session, and this server's graph, whose names have a prefix there.
+
+    ``dropped`` counts messages of topics, in both directions, that found no place where they have to wait.
+    """
 
     thread: SessionThread
     graph: Graph
@@ -104,6 +107,7 @@ class Network:
     loop: asyncio.AbstractEventLoop = field(default_factory=asyncio.get_running_loop)
     warnings: LogLimiter = field(default_factory=lambda: LogLimiter(max_keys=MAX_WARNINGS))
     tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    dropped: int = 0
 
     @property
     def domain_id(self) -> int:

@@ -136,14 +136,19 @@ class ReceiveQueue(Generic[Item]):
         self._lock = threading.Lock()
         self._waiting: deque[tuple[Item, int]] = deque()
         self._waiting_bytes = 0
+        # The newest item of each kind that goes ahead.
+        self._ahead: dict[str, Item] = {}
         self._scheduled = False
         self.dropped = 0
 
-    def put(self, item: Item, size_bytes: int) -> None:
-        """Add an item, from any thread; never waits."""
+    def put(self, item: Item, size_bytes: int, *, ahead_as: str = "") -> None:
+        """Add an item, from any thread; never waits. It goes ahead as the newest of a kind, if one is named."""
         with self._lock:
-            self._waiting.append((item, size_bytes))
-            self._waiting_bytes += size_bytes
+            if ahead_as:
+                self._ahead[ahead_as] = item
+            else:
+                self._waiting.append((item, size_bytes))
+                self._waiting_bytes += size_bytes
             while len(self._waiting) > MAX_WAITING or self._waiting_bytes > MAX_WAITING_BYTES:
                 self._waiting_bytes -= self._waiting.popleft()[1]
                 self.dropped += 1
@@ -155,9 +160,10 @@ class ReceiveQueue(Generic[Item]):
         with self._lock:
             taken = [self._waiting.popleft() for _ in range(min(ITEMS_AT_A_TIME, len(self._waiting)))]
             self._waiting_bytes -= sum(size_bytes for _, size_bytes in taken)
-        for item, _ in taken:
+            ahead, self._ahead = self._ahead, {}
+        for item in (*ahead.values(), *(item for item, _ in taken)):
             self._handle(item)
         with self._lock:
-            self._scheduled = bool(self._waiting)
+            self._scheduled = bool(self._waiting or self._ahead)
         if self._scheduled:
             self._loop.call_soon(self._handle_some)

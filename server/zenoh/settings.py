@@ -75,14 +75,6 @@ class ZenohSettings(SettingsSection):
     insecure: bool = False
     """accept data for subscribe and offer from everybody who reaches an address of listen."""
 
-    @field_validator("connect", "listen")
-    @classmethod
-    def _are_endpoints(cls, value: tuple[str, ...]) -> tuple[str, ...]:
-        for endpoint in value:
-            if _ENDPOINT.match(endpoint) is None:
-                raise ValueError(f"{endpoint!r} must be protocol/address, as in tcp/127.0.0.1:7447")
-        return value
-
     @field_validator("namespace")
     @classmethod
     def _is_a_name(cls, value: str) -> str:

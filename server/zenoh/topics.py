@@ -12,7 +12,7 @@ from protocol.codecs import cdr
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.stop_epochs import STOP_EPOCHS
-from server.access.authorization import Authorizer
+from server.access.authorization import Authorizer, rule_of_topic
 from server.arrival import arrived_in
 from server.errors import GraphError
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
@@ -37,7 +37,6 @@ class OutgoingTopic:
     def __init__(self, network: Network, name: str, endpoint: Endpoint, *, latched: bool) -> None:
         self.latched = latched
         self.endpoint = endpoint
-        self.dropped = 0
         self._network = network
         self._name = name
         self._token = network.tokens.entity(EntityKind.PUBLISHER, endpoint, latched=latched)
@@ -60,7 +59,7 @@ class OutgoingTopic:
         # Messages from the network are there already.
         if published.publisher is self._network.node:
             return
-        self.dropped += len(self._waiting) == MAX_WAITING
+        self._network.dropped += len(self._waiting) == MAX_WAITING
         self._waiting.append(published)
         if not self._submitted:
             # First, since the job may have been done when the call returns.
@@ -99,18 +98,12 @@ class OutgoingTopics:
         self._network = network
         self._names = names
         self._topics: dict[str, OutgoingTopic] = {}
-        self._dropped_by_closed = 0
-
-    @property
-    def dropped(self) -> int:
-        return self._dropped_by_closed + sum(topic.dropped for topic in self._topics.values())
 
     def refresh(self, foreign: frozenset[str]) -> None:
         """Publish the topics that exist now, and no others."""
         wanted = self._wanted(foreign)
         for name, topic in list(self._topics.items()):
             if wanted.get(name) != (topic.endpoint, topic.latched):
-                self._dropped_by_closed += topic.dropped
                 self._topics.pop(name).close()
         for name, (endpoint, latched) in wanted.items():
             if name not in self._topics and len(self._topics) < MAX_SHARED:
@@ -149,13 +142,7 @@ class Source(NamedTuple):
     """Topic of other machines to subscribe to."""
 
     endpoint: Endpoint
-    latched: bool
-    announced: bool
-
-    @property
-    def subscription(self) -> tuple[Endpoint, bool]:
-        """Properties of the subscription on the network: the endpoint, and whether it is latched."""
-        return self.endpoint, self.latched
+    latched: bool = False
 
 
 class IncomingTopic:
@@ -168,27 +155,17 @@ class IncomingTopic:
         self.decoding = False
         self._network = network
         self._received = received
+        rule = rule_of_topic(name, network.graph)
+        # A flood of goals must neither delay nor drop a stop.
+        self._ahead_as = name if rule.at_once and rule.at_once_data is None else ""
         self._key = source.endpoint.key(network.domain_id)
         self._token = network.tokens.entity(EntityKind.SUBSCRIPTION, source.endpoint, latched=source.latched)
-        self._show_publisher()
+        network.graph.advertise(network.node, name, source.endpoint.type_name, latch=source.latched)
         self._declaration = network.declare(self._declare)
 
     def close(self) -> None:
         self._network.graph.unadvertise(self._network.node, self.name)
         self._declaration.undeclare()
-
-    def announce(self, *, announced: bool) -> None:
-        """Follow the machines that publish the topic; the subscription stays, so that no goal is lost meanwhile."""
-        if announced != self.source.announced:
-            self.source = self.source._replace(announced=announced)
-            self._show_publisher()
-
-    def _show_publisher(self) -> None:
-        graph, node, source = self._network.graph, self._network.node, self.source
-        if source.announced:
-            graph.advertise(node, self.name, source.endpoint.type_name, latch=source.latched)
-        else:
-            graph.unadvertise(node, self.name)
 
     def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
         import zenoh.ext
@@ -213,7 +190,8 @@ class IncomingTopic:
             self._network.warn(f"a message on {self.source.endpoint.name} is left out, it has {reason}")
             return
         octets = bytes(sample.payload)
-        self._received.put(IncomingMessage(self, octets, STOP_EPOCHS.present), len(octets))
+        message = IncomingMessage(self, octets, STOP_EPOCHS.present)
+        self._received.put(message, len(octets), ahead_as=self._ahead_as)
 
 
 class IncomingMessage(NamedTuple):
@@ -231,27 +209,19 @@ class IncomingTopics:
         self._network = network
         self._names = names
         self._authorizer = authorizer
-        self._received = ReceiveQueue[IncomingMessage](network.loop, self._publish)
+        self.received = ReceiveQueue[IncomingMessage](network.loop, self._publish)
         self._topics: dict[str, IncomingTopic] = {}
-        self._dropped_waiting = 0
-
-    @property
-    def dropped(self) -> int:
-        return self._received.dropped + self._dropped_waiting
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
         """Subscribe to the topics that exist now, and to no others."""
         wanted = self._wanted(self._sources(entities))
         for name, topic in list(self._topics.items()):
-            current = wanted.get(name)
-            if current is not None and current.subscription == topic.source.subscription:
-                topic.announce(announced=current.announced)
-            else:
+            if wanted.get(name) != topic.source:
                 self._topics.pop(name).close()
         for name, source in wanted.items():
             if name not in self._topics and len(self._topics) < MAX_SHARED:
                 try:
-                    self._topics[name] = IncomingTopic(self._network, name, source, self._received)
+                    self._topics[name] = IncomingTopic(self._network, name, source, self.received)
                 except GraphError as error:
                     self._network.warn(f"{source.endpoint.name} does not come in: {error}")
 
@@ -261,9 +231,8 @@ class IncomingTopics:
             if self._names.matches(name) and network.is_own_subscription(name) and not network.is_own_publication(name):
                 own = network.endpoint(network.to_network(name), type_name, "msg")
                 if own is not None:
-                    announced = sources.get(name)
-                    # A latched goal is an old one; it must not move the arm of a server that starts.
-                    found[name] = Source(own, False, announced is not None and announced.endpoint == own)
+                    # Not latched: a latched goal is an old one; it must not move the arm of a server that starts.
+                    found[name] = Source(own)
         for name, source in sources.items():
             if name not in found and not self._is_taken(name, source.endpoint.name):
                 found[name] = source
@@ -279,7 +248,7 @@ class IncomingTopics:
             if known is not None and known.endpoint == endpoint:
                 found[name] = known._replace(latched=known.latched or entity.latched)
             elif known is None and self._network.agrees(endpoint, "msg"):
-                found[name] = Source(endpoint, entity.latched, announced=True)
+                found[name] = Source(endpoint, entity.latched)
         return found
 
     def _is_taken(self, name: str, network_name: str) -> bool:
@@ -297,7 +266,7 @@ class IncomingTopics:
         if self._topics.get(topic.name) is not topic:
             return
         if topic.decoding:
-            self._dropped_waiting += len(topic.waiting) == MAX_WAITING
+            self._network.dropped += len(topic.waiting) == MAX_WAITING
             topic.waiting.append(received)
             return
         if len(received.octets) > BYTES_AT_ONCE:

@@ -1,4 +1,4 @@
-"""roslibjs in two versions and the old roslibpy on the simulated arm; test_roslibpy_suite.py has the new one."""
+"""roslibjs in two versions and the old roslibpy on the simulated arm, and the types for JavaScript."""
 
 import shutil
 import sys
@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
-from harness.server import RunningServer
+from clients.js.generate_types import TARGET, generated
+from harness.server import ROOT, RunningServer
 from tests.clients.conftest import OF_DIALECT
-from tests.helpers.programs import environment_with, heard_by, install_with_npm
+from tests.helpers.programs import environment_with, heard_by, install_with_npm, run
+from tests.test_readme import blocks
 
 HERE = Path(__file__).parent
 OLD = "roslibpy==1.8.1"
@@ -150,3 +152,25 @@ def test_the_robots_description_is_a_parameter_of_its_node(of_javascript: Heard)
 def test_an_action_of_one_client_is_run_by_another(answers: Heard) -> None:
     assert answers["fibonacci"]["result"]["sequence"] == [0, 1, 1, 2, 3, 5, 8, 13]
     assert answers["fibonacci"]["feedback"]["sequence"] == [0, 1, 1]
+
+
+TSC = ROOT / "server" / "page" / "node_modules" / ".bin" / "tsc"
+
+
+def test_the_declarations_are_those_of_the_type_tables() -> None:
+    assert TARGET.read_text() == generated(), "run .venv/bin/python -m clients.js.generate_types"
+
+
+@pytest.mark.skipif(not TSC.exists() or shutil.which("npm") is None, reason="no TypeScript: make page installs it")
+def test_the_program_of_the_readme_is_well_typed_with_roslib(tmp_path: Path) -> None:
+    (program,) = blocks(TARGET.with_name("README.md"), "ts")
+    (tmp_path / "program.ts").write_text(program)
+    shutil.copy(TARGET, tmp_path)
+    (tmp_path / "package.json").write_text('{"type":"module","dependencies":{"roslib":"2.1.0"}}')
+    install_with_npm(tmp_path)
+    options = ["--strict", "--noEmit", "--target", "es2022", "--module", "esnext", "--skipLibCheck"]
+    options += ["--moduleResolution", "bundler"]
+    for source, right in ((program, True), (program.replace("position[0]", "positions[0]"), False)):
+        (tmp_path / "program.ts").write_text(source)
+        done = run(TSC, *options, "program.ts", cwd=tmp_path)
+        assert (done.returncode == 0) is right, done.stdout

@@ -274,9 +274,7 @@ class SessionMaker:
                 return {"op": "publish", "topic": topic, "msg": self._made(type_name)}
 
     def _auth(self) -> dict[str, Any]:
-        times = {"t": 1.0, "end": 2.0}
-        proof = {"mac": "0" * 128, "client": "c", "dest": "d", "rand": "r", "level": "admin", **times}
-        shown = self._random.choice(({}, proof, {"token": "wrong-token-wrong-token"}, {"token": TOKENS[-1]}))
+        shown = self._random.choice(({}, {"token": "wrong-token-wrong-token"}, {"token": TOKENS[-1]}))
         return {"op": "auth", **shown}
 
     def _call_of_rosapi(self) -> dict[str, Any]:

@@ -118,12 +118,6 @@ class Site:
         offer = self.graph.services._offers.get(service)
         return [] if offer is None else list(offer.requests.values())
 
-    def knows_publisher_of(self, topic: str) -> bool:
-        """Return true if another machine is known to publish a topic that comes in."""
-        assert self.bridge._sharing is not None
-        incoming = self.bridge._sharing._incoming._topics.get(topic)
-        return incoming is not None and incoming.source.announced
-
     async def called(self, service: str, arguments: dict[str, Any] | None = None) -> Any:
         """Call a service as the client, and wait for the response."""
         answer: asyncio.Future[Any] = asyncio.get_running_loop().create_future()

@@ -1,3 +1,5 @@
+"""Planning from a problem to a trajectory, within its budget."""
+
 import itertools
 import shutil
 import time
@@ -5,6 +7,7 @@ import time
 import numpy as np
 import pytest
 
+from planners.budget import Budget
 from planners.checks import START_CONTACT_DEPTH_M
 from planners.geometry.collision import CollisionModel
 from planners.goals import AxisGoal, Constraints, JointConstraint, JointGoal, OrientationConstraint, PoseGoal
@@ -17,6 +20,7 @@ from planners.pipeline import Planner, recheck
 from planners.problem import (
     IkQuestion,
     JointPathProblem,
+    MoveItErrorCode,
     Plan,
     PlanningFailure,
     PlanningProblem,
@@ -29,6 +33,7 @@ from planners.scene import Box, Pose, Scene
 from robot.description import model
 from robot.description.robot_file import FILE_NAME
 from robot.description.robot_folder import BUILT_IN, load
+from tests.helpers.clock import FakeClock
 from tests.planners.invariants import BLOCKED_LINES, assert_keeps_rates, assert_touches_nothing, configurations, refusal
 from tests.planners.scenes import thing
 from tests.planners.setting import TIP, end_of
@@ -283,3 +288,25 @@ def test_all_that_is_wrong_with_a_state_is_told(planner, at_home):
     assert contact.code is Code.START_STATE_IN_COLLISION
     assert contact.details["pairs"]
     assert violated.code is Code.GOAL_CONSTRAINTS_VIOLATED
+
+
+def test_a_budget_and_its_shares_last_until_the_allowed_time_is_spent_or_they_are_asked_to_stop():
+    clock = FakeClock()
+    budget = Budget(clock, 2.0, lambda: False)
+    clock.advance(1.0)
+    part = budget.share(0.5)
+    assert part.left_s == pytest.approx(0.5)
+    clock.advance(0.75)
+    assert (part.used_up(), budget.used_up()) == (True, False)
+    assert budget.left_s == pytest.approx(0.25)
+    clock.advance(0.249)
+    assert not budget.used_up()
+    clock.advance(0.001)
+    assert budget.used_up()
+    assert budget.spent_s == pytest.approx(2.0)
+    assert budget.failure().code is MoveItErrorCode.TIMED_OUT
+    assert "2 s" in budget.failure().message
+    stopped = Budget(clock, 2.0, lambda: True)
+    assert stopped.used_up()
+    assert stopped.share(0.5).used_up()
+    assert stopped.failure().code is MoveItErrorCode.PREEMPTED

@@ -20,7 +20,7 @@ from planners.scene import Box, Pose
 from robot.description import model
 from robot.description.robot_folder import PACKAGE, find_example
 from tests.helpers.resources import in_proportion
-from tests.planners.ik.test_constraints import pose_of
+from tests.planners.ik.test_kinematics import pose_of
 from tests.planners.invariants import assert_touches_nothing
 from tests.planners.scenes import thing
 

@@ -8,10 +8,9 @@ from hypothesis import strategies as st
 from mcap_ros2._dynamic import generate_dynamic
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from protocol import interface_packages
 from protocol.codecs import cdr
 from protocol.errors import InterfaceFilesError, MessageError
-from protocol.interface_packages import UserInterfaces, read_packages
+from protocol.interface_packages import read_packages
 from protocol.messages import Stamp, complete
 from protocol.strict_messages import publication_reader
 from protocol.type_descriptions import full_text, message_hash, service_hash
@@ -70,7 +69,7 @@ def test_package_xml_names_the_package_else_its_folder(tmp_path: Path, monkeypat
 
 
 def test_a_workspace_is_looked_through_for_packages_but_not_inside_of_them_nor_in_circles(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
     package(tmp_path / "elsewhere" / "one_msgs", ("msg/A.msg", "two_msgs/A a"))
     source = tmp_path / "src"
@@ -82,7 +81,6 @@ def test_a_workspace_is_looked_through_for_packages_but_not_inside_of_them_nor_i
     (source / "one").symlink_to(tmp_path / "elsewhere")
     for name in ("back", "again", "once_more"):
         (source / name).symlink_to(source)
-    monkeypatch.setattr(interface_packages, "MAX_FOLDERS", 10)
     assert list(read_packages([source]).ros2) == ["one_msgs/msg/A", "two_msgs/msg/A"]
 
 
@@ -118,7 +116,7 @@ def test_an_action_of_ros1_has_its_seven_messages_also_where_a_build_has_written
 
 
 def test_all_problems_of_all_packages_are_told(tmp_path: Path) -> None:
-    package(tmp_path / "a_msgs", ("msg/A.msg", "int33 a\nint32 B"), ("srv/C.srv", ""))
+    package(tmp_path / "a_msgs", ("msg/A.msg", "int33 a\nint32 b-c"), ("srv/C.srv", ""))
     package(tmp_path / "b_msgs", ("msg/A.msg", "int32[0] a"))
     told = problems(tmp_path, tmp_path / "nowhere")
     places = [each.split("/")[-1].split(" ")[0] for each in told]
@@ -156,29 +154,6 @@ def test_a_type_that_contains_itself_is_refused(tmp_path: Path) -> None:
     ]
 
 
-def test_a_type_of_too_many_values_or_messages_in_messages_without_end_is_refused(tmp_path: Path) -> None:
-    tenfold = [(f"msg/T{n}.msg", "\n".join(f"T{n - 1} a{m}" for m in range(10))) for n in range(1, 5)]
-    wide = package(tmp_path / "wide_msgs", ("msg/T0.msg", "int32 a"), *tenfold)
-    long = package(tmp_path / "long_msgs", ("msg/A.msg", "float64[1000000000] a"))
-    deep = [(f"msg/T{n}.msg", f"T{n + 1}[] a") for n in range(40)]
-    assert "wide_msgs/T4 has 10000 fields, more than 2000" in problem(wide)
-    assert "long_msgs/A has 1000000000 values in its arrays of fixed size, more than 1000000" in problem(long)
-    told = problems(package(tmp_path / "deep_msgs", *deep, ("msg/T40.msg", "int32 a")))
-    assert "deep_msgs/T0 has messages in messages, more than 32 deep" in told[0]
-
-
-def test_files_folders_and_their_size_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    large = package(tmp_path / "large_msgs", ("msg/A.msg", "#" * 300_000))
-    assert problem(large).endswith("large_msgs/msg/A.msg: has more than 262144 bytes, which no interface file has")
-    many = package(tmp_path / "many_msgs", *((f"msg/A{n}.msg", "") for n in range(5)))
-    monkeypatch.setattr(interface_packages, "MAX_FILES", 4)
-    assert problem(many).endswith("more than 4 interface files in all folders together")
-    monkeypatch.setattr(interface_packages, "MAX_FOLDERS", 2)
-    for name in ("a", "b", "c"):
-        (tmp_path / "empty" / name).mkdir(parents=True)
-    assert "more than 2 folders to look through" in problem(tmp_path / "empty")
-
-
 def test_a_folder_without_interfaces_or_with_a_bad_package_xml_is_refused(tmp_path: Path) -> None:
     assert problem(package(tmp_path / "tools")).endswith("has msg/*.msg, srv/*.srv or action/*.action files")
     assert problem(tmp_path / "nowhere").endswith("nowhere: wanted a folder with ROS packages, and there is none")
@@ -200,26 +175,12 @@ def test_two_files_that_define_a_type_alike_are_one_and_otherwise_are_refused(tm
 POINT = "float64 x\nfloat64 y\nfloat64 z"
 
 
-def test_a_packaged_type_may_be_defined_alike_and_one_that_the_program_uses_stays_as_it_is(tmp_path: Path) -> None:
-    folder = package(tmp_path / "geometry_msgs", ("msg/Point.msg", f"# where\n{POINT}"))
-    assert read_packages([folder], {"geometry_msgs"}) == UserInterfaces({}, {}, ("geometry_msgs",))
-    package(folder, ("msg/Point.msg", f"{POINT}\nint32 w"), ("msg/New.msg", "Point p"))
-    interfaces = read_packages([folder], {"geometry_msgs"})
-    assert interfaces.kept == ("geometry_msgs/msg/Point",)
+def test_a_packaged_type_stays_as_it_is(tmp_path: Path) -> None:
+    folder = package(tmp_path / "geometry_msgs", ("msg/Point.msg", f"{POINT}\nint32 w"), ("msg/New.msg", "Point p"))
+    interfaces = read_packages([folder])
+    assert (list(interfaces.ros2), interfaces.known) == (["geometry_msgs/msg/New"], ("geometry_msgs/msg/Point",))
     assert len(interfaces.registry().message("geometry_msgs/Point").fields) == 3
     assert interfaces.registry().knows("geometry_msgs/New")
-
-
-def test_any_other_packaged_type_is_replaced_by_the_users_and_checked_with_what_contains_it(tmp_path: Path) -> None:
-    folder = package(tmp_path / "turtlesim", ("msg/Color.msg", "uint8 grey"))
-    interfaces = read_packages([folder], {"geometry_msgs"})
-    assert interfaces.replaced == ("turtlesim/msg/Color",)
-    assert [field.name for field in interfaces.registry().message("turtlesim/Color").fields] == ["grey"]
-    package(folder, ("msg/Color.msg", "foxglove_msgs/Grid grid"))
-    told = problems(
-        folder, package(tmp_path / "foxglove_msgs", ("msg/PackedElementField.msg", "turtlesim/Color color"))
-    )
-    assert all("a type may not contain itself" in each for each in told)
 
 
 USER = read_packages([INTERFACES]).registry()

@@ -31,7 +31,7 @@ MINIMAL = {
     "action_result": {"action": "/a", "id": "action_goal:/a:1", "status": 4, "result": True},
     "fragment": {"id": "f", "data": "{}", "num": 0, "total": 1},
     "png": {"data": "iVBO"},
-    "auth": {},
+    "auth": {"token": "my-secret"},
     "set_level": {"level": "error"},
     "status": {"msg": "hello"},
 }
@@ -145,7 +145,7 @@ def test_any_fields_are_read_or_refused_in_one_line(op, fields):
 
 
 def test_a_secret_that_is_refused_is_not_shown():
-    for field in ("token", "mac"):
-        refusal = str(refused({"op": "auth", field: "my-secret" * 100}))
-        assert f"field {field}: wanted text of up to 512 characters" in refusal
+    for token in ("my-secret" * 100, ["my-secret"]):
+        refusal = str(refused({"op": "auth", "token": token}))
+        assert "field token: wanted text of up to 512 characters" in refusal
         assert "my-secret" not in refusal

@@ -29,7 +29,7 @@ def test_the_limit_counts_what_is_there(steps):
         else:
             with pytest.raises(NothingToDoError):
                 table.remove(topic, mark)
-        assert set(table) == {topic for topic, _ in model}
+        assert set(table._entries) == {topic for topic, _ in model}
 
 
 def merged(*asked):

@@ -1,7 +1,15 @@
-"""The delay before a child is started again; tests/processes has the children themselves."""
+"""Processes and the channels between them."""
+
+import logging
+import socket
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from robot.channel import MAX_MESSAGE_BYTES, MAX_PENDING_BYTES, Channel, Decoder, encode, send_log
 from robot.processes import RestartDelay
 
 
@@ -16,3 +24,71 @@ from robot.processes import RestartDelay
 def test_the_delay_before_a_start_follows_how_long_the_processes_ran(ran_s: list[float], delays_s: list[float]) -> None:
     delay = RestartDelay(0.2, 10.0)
     assert [delay.after(each) for each in ran_s] == delays_s
+
+
+@given(st.lists(st.binary(max_size=300), max_size=8), st.integers(min_value=1, max_value=50))
+def test_messages_survive_any_cutting_of_the_stream(messages: list[bytes], size: int) -> None:
+    stream = b"".join(encode(message) for message in messages)
+    decoder = Decoder()
+    got = [m for start in range(0, len(stream), size) for m in decoder.feed(stream[start : start + size])]
+    assert got == messages
+
+
+def test_a_message_over_the_limit_is_refused_by_either_end() -> None:
+    for refused in (lambda: Decoder().feed(b"\xff\xff\xff\xff"), lambda: encode(bytes(MAX_MESSAGE_BYTES))):
+        with pytest.raises(ValueError, match="over the limit"):
+            refused()
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[Channel, Channel]]:
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        yield Channel(ours), Channel(theirs)
+
+
+def test_a_channel_notices_that_the_other_end_is_gone() -> None:
+    ours, theirs = socket.socketpair()
+    channel = Channel(ours)
+    theirs.close()
+    assert channel.receive_first() is None
+    assert channel.closed
+    channel.send("nobody hears this")
+    ours.close()
+
+
+def test_a_channel_waits_no_longer_than_its_timeout_and_what_comes_right_behind_the_first_message_is_not_lost(
+    pair: tuple[Channel, Channel],
+) -> None:
+    child, server = pair
+    assert (child.receive(0.0), child.receive(0.01)) == ([], [])
+    for number in range(3):
+        server.send(number)
+    assert child.receive_first() == 0
+    assert (child.receive(0.0), child.receive(0.0)) == ([1, 2], [])
+
+
+def test_to_a_server_that_does_not_read_only_what_may_not_be_dropped_is_kept(pair: tuple[Channel, Channel]) -> None:
+    child, server = pair
+    for number in range(5000):
+        child.send(("state", number, b"x" * 1000), droppable=True)
+    child.send("result")
+    received: list[Any] = []
+    while "result" not in received:
+        received += server.receive(0.1)
+        child.receive(0.0)
+    assert len(received) < 5000
+    assert sum(len(encode(message)) for message in received) < MAX_PENDING_BYTES + (2 << 20)
+    numbers = [message[1] for message in received[:-1]]
+    assert numbers == sorted(numbers)
+
+
+def test_a_process_sends_the_lines_of_its_log_to_the_other_end(pair: tuple[Channel, Channel]) -> None:
+    child, server = pair
+    handler = send_log(child, "robot.control.loop")
+    try:
+        logging.getLogger("armbridge.arm").warning("the arm %s", "sinks")
+    finally:
+        handler.close()
+    (line,) = server.receive(1.0)
+    assert (line.process, line.logger, line.text) == ("robot.control.loop", "armbridge.arm", "the arm sinks")

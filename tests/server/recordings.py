@@ -47,7 +47,7 @@ def record(path: Path, entries: Iterable[RecordedMessage], registry: Registry = 
 
 def recorded_messages(path: Path) -> list[RecordedMessage]:
     """Return all messages of a recording, as they are in the file."""
-    return [each for chunk in RecordingFile(path).chunks() for each in chunk]
+    return list(RecordingFile(path).messages())
 
 
 def record_killed(path: Path, chunks: Iterable[Iterable[RecordedMessage]]) -> Path:

@@ -22,8 +22,8 @@ async def test_settings_reach_graph_and_bridge_and_nobody_is_connected_before_th
     assert App(Settings()).bridge is None
     assert app.bridge._max_message_bytes == 70_000
     names = [each.name for each in app.features]
-    assert names.index("goals") < names.index("zenoh")
-    assert names.index("goals") < names.index("connections")
+    assert names.index("goals of the arms") < names.index("zenoh")
+    assert names.index("goals of the arms") < names.index("connections")
     # Other machines hear of the end of goals, and may stop the arm, until it has stopped.
     assert names.index("other machines") < names.index("the arm")
 

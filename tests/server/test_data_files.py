@@ -64,8 +64,8 @@ def test_an_arm_its_simulation_and_each_set_of_arms_keep_a_scene_of_their_own(se
 def test_a_new_file_is_kept_though_the_clock_that_names_it_was_set_back(tmp_path: Path) -> None:
     series = FileSeries(tmp_path, "fault-", ".jsonl", 3)
     for name in ("2046", "2047", "2048", "2026", "2027"):
-        newest = series.add(name, str.encode)
-        assert newest.read_bytes() == newest.stem.encode()
+        newest = series.add(name, name.encode)
+        assert newest.read_bytes() == name.encode()
     assert len(series.paths()) == 3
 
 

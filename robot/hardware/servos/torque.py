@@ -118,8 +118,11 @@ class ServoTorque:
             if servo in ids:
                 self._check_position(servo, present)
                 (holding if on else relaxed).append(servo)
+        # Where relaxing was broken off the arm has sunk, and must not rise to its goals by itself.
+        full, limits = self.full_limits(), (yield from self._other_limits(holding))
+        sunk = all(limits.get(servo, full[servo].value) < full[servo].value for servo in holding)
         for servo in holding:
-            goals[servo] = yield from self._take_over(servo, goals[servo])
+            goals[servo] = yield from self._take_over(servo, goals[servo], stopped=sunk)
         try:
             yield from self._await_rest(relaxed)
             for servo in relaxed:
@@ -223,16 +226,18 @@ class ServoTorque:
         if moving >= 0:
             raise StartupError(f"joint {self._servos.by_id[moving].joint} does not come to rest: let go of the arm")
 
-    def _take_over(self, servo_id: int, goal_ticks: int) -> Steps[int]:
-        """Set the profile of a servo that holds, and set it free if its watchdog has stopped it; return its goal."""
+    def _take_over(self, servo_id: int, goal_ticks: int, *, stopped: bool) -> Steps[int]:
+        """Set the profile of a servo that holds; return its goal, the present position if it was stopped on its way."""
         watchdog = self._family.watchdog
         if watchdog is not None and self.has_watchdog(servo_id):
             state = yield from read(self._bus, servo_id, watchdog.register)
             if state == watchdog.tripped:
-                # It was stopped on its way, and must not go on to a goal that is long past.
                 yield from write_verified(self._bus, servo_id, watchdog.register, 0)
-                present = yield from self._present(servo_id)
-                goal_ticks = yield from self._set_goal(servo_id, self.reachable(servo_id, present))
+                stopped = True
+        if stopped:
+            # It must not go on to a goal that is long past.
+            present = yield from self._present(servo_id)
+            goal_ticks = yield from self._set_goal(servo_id, self.reachable(servo_id, present))
         yield from self._set_profile(servo_id)
         return goal_ticks
 
@@ -271,12 +276,17 @@ class ServoTorque:
             joint = self._servos.by_id[servo_id].joint
             raise StartupError(f"joint {joint} moved by {moved_ticks} ticks {when} torque came on; torque is off")
 
-    def _raise_torque(self, ids: Sequence[int]) -> Steps[None]:
-        full, start = self.full_limits(), {}
+    def _other_limits(self, ids: Sequence[int]) -> Steps[dict[int, int]]:
+        """Read torque limits, and return those that are not the full ones, by id."""
+        full, others = self.full_limits(), {}
         for servo in ids:
             value = yield from read(self._bus, servo, full[servo].register)
             if value != full[servo].value:
-                start[servo] = value
+                others[servo] = value
+        return others
+
+    def _raise_torque(self, ids: Sequence[int]) -> Steps[None]:
+        full, start = self.full_limits(), (yield from self._other_limits(ids))
         for step in range(1, RAISE_STEPS + 1 if start else 0):
             yield RAISE_S / RAISE_STEPS
             limits = {

@@ -10,6 +10,7 @@ from typing import Any
 from planners.files import problem_file
 from planners.problem import PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
+from server.errors import ServiceError
 from server.execution.goal import Answer, Goal
 from server.execution.motions import Performed
 from server.execution.queue import GoalListener
@@ -89,8 +90,7 @@ class GoalHistory(GoalListener):
         goal_id = request["goal_id"]
         record = self._records.get(goal_id)
         if record is None:
-            text = f"goal_id: {goal_id[:40]!r} is not among the last {MAX_GOALS} goals that were answered"
-            return {"success": False, "message": text}
+            raise ServiceError(f"goal_id: {goal_id[:40]!r} is not among the last {MAX_GOALS} goals that were answered")
         text, performed = json.dumps(record.asked, default=str)[:MAX_ASKED_CHARACTERS], record.performed
         return CompleteResponse(
             {

@@ -204,6 +204,8 @@ class ProblemBuilder:
             segments=tuple(Line(end) for end in ends),
             keep_orientation=chooses_orientation(context.group),
             max_step_m=max_step_m,
+            # As in MoveIt, a threshold below 0 is none; the planners refuse NaN.
+            max_joint_step_rad=max(request["revolute_jump_threshold"], 0.0),
             tip_speed_m_s=_tip_speed_m_s(request, context),
             avoid_collisions=request["avoid_collisions"],
             velocity_scaling=velocity_scaling,

@@ -60,24 +60,21 @@ class Frames:
         self._robot = robot
         self._forward = ForwardPlacements(robot)
         self._state = scene_state
-        # The many poses of one request are in the same frame mostly: poses by name, for a scene and joint positions.
-        self._resolved_in: tuple[SceneContents, Mapping[str, float] | None] | None = None
-        self._resolved: dict[str, Pose] = {}
+        # The many poses of one request are in the same frame mostly: a scene, joint positions, and poses by name there.
+        # Replaced as a whole, because threads read requests too.
+        self._resolved: tuple[SceneContents, Mapping[str, float] | None, dict[str, Pose]] | None = None
 
     def resolve(self, frame_id: str, positions_rad: Mapping[str, float] | None) -> Pose:
         """Return the pose of a frame in the root link; names and errors as for :func:`find_frame`."""
         contents, known = self._state.contents, None if positions_rad is None else dict(positions_rad)
-        if (
-            self._resolved_in is None
-            or self._resolved_in[0] is not contents
-            or self._resolved_in[1] != known
-            or len(self._resolved) >= MAX_RESOLVED
-        ):
-            self._resolved_in, self._resolved = (contents, known), {}
-        if frame_id not in self._resolved:
+        resolved = self._resolved
+        if resolved is None or resolved[0] is not contents or resolved[1] != known or len(resolved[2]) >= MAX_RESOLVED:
+            resolved = self._resolved = contents, known, {}
+        poses = resolved[2]
+        if frame_id not in poses:
             links = LinkTransforms(self._robot, self._forward, positions_rad)
-            self._resolved[frame_id] = find_frame(frame_id, contents, links)
-        return self._resolved[frame_id]
+            poses[frame_id] = find_frame(frame_id, contents, links)
+        return poses[frame_id]
 
 
 def find_frame(frame_id: str, around: SceneContents, links: LinkTransforms) -> Pose:

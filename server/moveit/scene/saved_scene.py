@@ -8,9 +8,9 @@ import asyncio
 import json
 import logging
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from protocol.codecs.pieces import encoded_pieces, json_notation
 from protocol.errors import MessageError
@@ -20,8 +20,7 @@ from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.graph.message_types import MessageTypes
-from server.graph.permissions import CONFIGURING, LOOKING, WORKING, Rule
-from server.graph.services import telling
+from server.graph.permissions import CONFIGURING, LOOKING, WORKING
 from server.graph.topics import Graph
 from server.moveit.messages import Message
 from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
@@ -199,8 +198,6 @@ MAX_SCENES = 50
 # A mesh of 80 000 triangles, the largest, has 6 MB as text.
 MAX_SCENE_BYTES = 20_000_000
 
-_Work: TypeAlias = Callable[[str], Awaitable[str]]
-
 
 def objects_in_words(contents: SceneContents) -> str:
     """Return the number of a scene's objects in words: "1 object", "2 objects"."""
@@ -241,21 +238,17 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
     async def names(_request: Message) -> Message:
         return {"names": await scenes.names()}
 
-    async def load(name: str) -> str:
-        return await scenes.load(name, current.positions_rad())
+    def load(request: Message) -> Awaitable[str]:
+        return scenes.load(request["name"], current.positions_rad())
 
-    async def delete(name: str) -> str:
-        await scenes.delete(name)
-        return f"the scene {name!r} is deleted"
+    async def delete(request: Message) -> str:
+        await scenes.delete(request["name"])
+        return f"the scene {request['name']!r} is deleted"
 
-    def offer(name: str, type_name: str, work: _Work, rule: Rule) -> None:
-        async def reply(request: Message) -> dict[str, Any]:
-            return {"success": True, "message": await work(request["name"])}
-
-        name = f"/arm/scenes/{name}"
-        node.offer(name, f"armbridge_msgs/srv/{type_name}", telling(name, reply, log), rule=rule)
+    def save(request: Message) -> Awaitable[str]:
+        return scenes.save(request["name"])
 
     node.offer("/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names, rule=LOOKING)
-    offer("save", "SaveScene", scenes.save, CONFIGURING)
-    offer("load", "LoadScene", load, WORKING)
-    offer("delete", "DeleteScene", delete, CONFIGURING)
+    node.offer("/arm/scenes/save", "armbridge_msgs/srv/SaveScene", save, rule=CONFIGURING)
+    node.offer("/arm/scenes/load", "armbridge_msgs/srv/LoadScene", load, rule=WORKING)
+    node.offer("/arm/scenes/delete", "armbridge_msgs/srv/DeleteScene", delete, rule=CONFIGURING)

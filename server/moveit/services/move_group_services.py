@@ -40,7 +40,6 @@ from server.moveit.requests.planning_problems import (
     sequence_requests,
 )
 from server.moveit.scene.frames import seen_from
-from server.moveit.services.cartesian_path import compute_cartesian_path
 from server.moveit.trajectories import to_messages
 
 log = logging.getLogger("armbridge.moveit")
@@ -53,6 +52,9 @@ Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[s
 
 # Twice the planners' own deadline: a request may wait for another one first.
 TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
+
+# A waypoint in a frame takes 50 us to read.
+MAX_WAYPOINTS_AT_ONCE = 50
 
 # Names that MoveIt's planning plugins have.
 INTERFACE_NAMES = {OMPL: "OMPL", PILZ: "Pilz Industrial Motion Planner"}
@@ -199,6 +201,37 @@ async def explained(
     """Return a failure whose message says what would work, if anything was found."""
     added = await with_nearest_goal(failure, problem, scene, context.pool)
     return replace(added, message=with_suggestion(added.message, added.details, context.robot))
+
+
+async def compute_cartesian_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+    """Plan a path of the tip through waypoints; returns the response of moveit_msgs/GetCartesianPath.
+
+    If only a part of the path can be followed, the response has that part and its fraction. The code is SUCCESS, as in
+    MoveIt (cartesian_path_service_capability.cpp), and its message has the reason.
+    """
+    start = context.start(request["start_state"], caller)
+    # A long path takes as long to read as everybody may be kept waiting.
+    long = len(request["waypoints"]) > MAX_WAYPOINTS_AT_ONCE
+    read = context.problems.cartesian_path
+    built = await asyncio.to_thread(read, request, start.start_rad) if long else read(request, start.start_rad)
+    plan = required(await context.pool.ask(built.problem, start.scene))
+    root = context.robot.root_link
+    start_state = state_message(dict(start.start_rad), root, 0.0)
+    [solution] = await to_messages([plan.trajectory], root)
+    context.display.trajectories([solution], start_state)
+    if plan.stopped_by is not None:
+        context.display.contacts_of(plan.stopped_by.details)
+    return {
+        "start_state": start_state,
+        "solution": solution,
+        "fraction": plan.fraction,
+        "error_code": success(
+            *start.warnings,
+            *built.warnings,
+            "" if plan.stopped_by is None else plan.stopped_by.message,
+            deviation_note(plan.deviation),
+        ),
+    }
 
 
 async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:

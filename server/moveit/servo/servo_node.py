@@ -14,9 +14,10 @@ from planners.servo.question import ServoStatus
 from protocol.publication import PublishedMessage
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
+from robot.logs import LogLimiter
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arrival import arrival_epoch, is_stopped
-from server.errors import RefusedError, UnsuccessfulError, invalid
+from server.errors import RefusedError, ServiceError, UnsuccessfulError, invalid
 from server.execution.monitors import check_ready
 from server.execution.motions import Joints
 from server.execution.queue import GoalQueue
@@ -112,16 +113,13 @@ class StatusPublisher:
         self._node = node
         self._type_name = type_name
         self._clock = clock
-        self._logged, self._logged_at_s = "", 0.0
+        self._log = LogLimiter(1, 1.0 / LOGGED_AGAIN_S)
         node.advertise(STATUS_TOPIC, type_name, latch=True)
 
     def publish(self, status: ServoStatus, message: str) -> None:
         """Publish a status; an error is logged as well, once in `LOGGED_AGAIN_S` while it is repeated."""
         if status is ServoStatus.INVALID:
-            now_s = self._clock()
-            if message != self._logged or now_s - self._logged_at_s > LOGGED_AGAIN_S:
-                self._logged, self._logged_at_s = message, now_s
-                log.warning("servo: %s", message)
+            self._log.write(log, logging.WARNING, f"servo: {message}", message, self._clock())
         if self._type_name == INT8:
             self._node.publish(STATUS_TOPIC, {"data": HUMBLE_NUMBERS.get(status, int(status))})
         else:
@@ -314,16 +312,16 @@ class ServoNode:
             gate.select(CommandType(wanted))
             return {"success": True}
 
-        def pause(*, paused: bool) -> dict[str, Any]:
+        def pause(*, paused: bool) -> str:
             if not paused and is_stopped(self._last_stop):
-                return {"success": False, "message": STOPPED_SINCE}
+                raise ServiceError(STOPPED_SINCE)
             gate.paused = paused
             gate.reset()
             if paused:
                 session.release()
-            return {"success": True, "message": "servo is paused" if paused else "servo takes commands"}
+            return "servo is paused" if paused else "servo takes commands"
 
-        def stop(_request: Message) -> dict[str, Any]:
+        def stop(_request: Message) -> str:
             self._last_stop = STOP_EPOCHS.begin()
             return pause(paused=True)
 

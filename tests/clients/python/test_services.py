@@ -1,7 +1,8 @@
-"""The Python client changes the scene, saves states, teaches and replays, steers, confirms and shares control."""
+"""x"""
 
 import contextlib
 import itertools
+import sys
 import threading
 from collections.abc import Iterator
 
@@ -9,8 +10,9 @@ import pytest
 
 from armbridge_client import Arm, ControlledByOther, GoalRefused, RequestRefused, WaitingGoal, connect, pose
 from armbridge_client.messages import CompressedImage, JointState, MoveitGoalFeedback, TriggerRequest
-from harness.server import RunningServer
+from harness.server import ROOT, RunningServer
 from harness.waiting import join, wait_until
+from tests.helpers.programs import run
 
 TABLE = pose(0.3, 0.0, 0.05)
 
@@ -253,3 +255,14 @@ def test_the_state_is_there_also_while_the_same_client_goes_over_the_states(arm:
     first = next(states)
     assert arm.state(timeout_s=5.0).position_rad.keys() == first.position_rad.keys()
     states.close()
+
+
+CLIENT = ROOT / "clients" / "python"
+
+
+def test_the_committed_message_types_are_generated_from_the_servers_tables() -> None:
+    program = "import generate_messages; print(generate_messages.generated(), end='')"
+    done = run(sys.executable, "-c", program, env={"PYTHONPATH": f"{CLIENT}:{ROOT}"})
+    assert done.stdout == (CLIENT / "armbridge_client" / "messages.py").read_text(), (
+        f"run PYTHONPATH=. python clients/python/generate_messages.py\n{done.stderr}"
+    )

@@ -1,3 +1,5 @@
+"""Imports of a robot: structure, surfaces, pairs of links and the whole."""
+
 import re
 import shutil
 import xml.etree.ElementTree as ET
@@ -7,12 +9,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from planners.assistant.decomposition import Limits, decompose
+from planners.assistant.draft import Tree, find_structure
 from planners.assistant.importing import ImportOptions, default_folder, import_robot
+from planners.assistant.link_shapes import link_shapes, link_surfaces, shapes_in_link
+from planners.assistant.pairs import SelfContacts, UncheckedPair, free_state, unchecked_pairs
+from planners.assistant.surface import ConvexPart, Surface, measure, merged
 from planners.errors import AssistantError
 from planners.geometry.collision import CollisionModel
-from robot.description import robot_folder
+from robot.description import model, robot_folder
 from robot.errors import DescriptionError
-from tests.helpers.stl_arm import write_package
+from tests.helpers import robots
+from tests.helpers.robots import SEVEN_JOINT_URDF
+from tests.helpers.stl_arm import URDF, boxes_union, channel, write_package
 
 
 def silent(_line: str) -> None:
@@ -145,3 +154,157 @@ def test_what_cannot_be_imported_is_refused_by_its_name_with_the_next_step(urdf,
         path.write_text(text)
         with pytest.raises(DescriptionError, match=f"{path} .*{re.escape(next_step)}"):
             import_robot(ImportOptions(path, tmp_path / "out"), silent)
+
+
+def structure_of(urdf: str, base=None, tip=None):
+    root = ET.fromstring(urdf)
+    movable = (each for each in root.iterfind("joint") if each.get("type") != "fixed" and each.find("mimic") is None)
+    joint = next(movable).get("name")
+    arm = model.parse(urdf, f'<robot name="r"><group name="g"><joint name="{joint}"/></group></robot>')
+    shaped = frozenset(link.get("name") for link in root.iterfind("link") if link.find("collision") is not None)
+    return find_structure(Tree(arm.links, arm.joints), shaped, base, tip)
+
+
+def test_two_fingers_or_one_jaw_are_the_gripper_and_the_tool_frame_is_the_tip():
+    found = structure_of(URDF)
+    assert found.arm_joints == ("turn", "lift", "bend", "roll")
+    assert found.gripper_joints == ("left_finger", "right_finger")
+    assert (found.base_link, found.hand_link, found.tip_link) == ("base", "palm", "tool_point")
+    assert found.held_joints == ()
+    so101 = robot_folder.built_in("so101").model
+    found = structure_of(so101.urdf)
+    assert (found.arm_joints, found.tip_link) == (so101.groups["arm"].joints, so101.tip_link)
+    assert found.gripper_joints == so101.gripper.joints
+    # A finger that mimics the other has no position of its own.
+    mimicking = URDF.replace('<axis xyz="0 -1 0"/>', '<axis xyz="0 -1 0"/><mimic joint="left_finger"/>')
+    assert structure_of(mimicking).gripper_joints == ("left_finger",)
+
+
+def test_an_arm_without_fingers_has_no_gripper():
+    found = structure_of(SEVEN_JOINT_URDF)
+    assert found.arm_joints == ("a1", "a2", "a3", "a4", "a5", "a6", "a7")
+    assert (found.gripper_joints, found.tip_link) == ((), "tool")
+
+
+def test_joints_before_the_base_that_is_given_are_held_and_the_tip_that_is_given_ends_the_arm():
+    found = structure_of(URDF, base="turret")
+    assert (found.arm_joints, found.held_joints) == (("lift", "bend", "roll"), ("turn",))
+    found = structure_of(URDF, tip="fore")
+    assert (found.arm_joints, found.tip_link) == (("turn", "lift", "bend"), "fore")
+
+
+def test_links_that_make_no_arm_are_refused():
+    for base, tip, reason in (
+        ("nowhere", None, "--base nowhere: .* palm"),
+        (None, "nowhere", "--tip nowhere: .* palm"),
+        ("fore", "turret", "no chain of joints leads from 'fore' to 'turret'"),
+        (None, "turret", "has 1 movable joints"),
+    ):
+        with pytest.raises(AssistantError, match=reason):
+            structure_of(URDF, base, tip)
+
+
+def surface(triangles) -> Surface:
+    return merged(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+
+
+CUBE = surface(boxes_union([((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1))]))
+
+
+def test_a_part_that_is_too_small_leaves_the_surface_uncovered_and_faces_between_parts_do_not_stand_out():
+    deviation = measure(CUBE, [ConvexPart(0.9 * CUBE.vertices_m)], np.random.default_rng(1))
+    assert deviation.uncovered_m == pytest.approx(0.01, abs=0.0005)
+    assert deviation.outside_m == 0.0
+    halves = [((-0.1, -0.1, -0.1), (0.0, 0.1, 0.1)), ((0.0, -0.1, -0.1), (0.1, 0.1, 0.1))]
+    parts = [ConvexPart(boxes_union([half]).reshape(-1, 3)) for half in halves]
+    # Distances are to samples, which are 1.1 mm apart on this surface.
+    assert measure(CUBE, parts, np.random.default_rng(1)).greatest_m < 0.002
+
+
+def test_a_part_within_planes_encloses_it():
+    points, directions = (np.random.default_rng(0).normal(size=(count, 3)) for count in (400, 60))
+    wider = ConvexPart(points).within(directions / np.linalg.norm(directions, axis=1)[:, np.newaxis])
+    assert wider.depth_m(points).max() < 1e-9
+
+
+def test_surfaces_of_the_builtin_arm_are_the_official_meshes(robot, shared_data) -> None:
+    official = model.load(shared_data / "so101" / "so101_new_calib.urdf", robots.SO101.folder / "so101.srdf")
+    expected = link_surfaces(official)
+    with np.load(robot.surfaces["base_link"].path) as file:
+        assert set(file.files) == expected.keys()
+        assert all(np.array_equal(file[name], array) for name, array in expected.items())
+
+
+def test_parts_cover_a_hollow_link_within_the_tolerance_leave_its_hollow_free_and_are_the_same_by_the_same_seed():
+    found, again = (decompose(surface(channel()), Limits()) for _ in range(2))
+    assert 1 < len(found.parts) <= 12
+    assert found.deviation.greatest_m <= 0.003
+    vertices, hollow = channel().reshape(-1, 3), np.array([[0.01, 0.0, 0.1]])
+    assert np.min([part.depth_m(vertices) for part in found.parts], axis=0).max() < 1e-9
+    assert min(part.depth_m(hollow).item() for part in found.parts) > 0.005
+    for first, second in zip(found.parts, again.parts, strict=True):
+        np.testing.assert_array_equal(first.vertices_m, second.vertices_m)
+
+
+def test_a_convex_mesh_is_one_part():
+    found = decompose(surface(boxes_union([((0.0, 0.0, 0.0), (0.1, 0.2, 0.3))])), Limits())
+    assert len(found.parts) == 1
+    assert found.deviation.greatest_m < 0.003
+
+
+def test_bounds_give_the_closest_parts_and_their_deviation():
+    assert len(decompose(surface(channel()), Limits(max_time_s=0.0)).parts) == 1
+    found = decompose(surface(channel()), Limits(max_parts=1))
+    assert len(found.parts) == 1
+    assert found.deviation.outside_m == pytest.approx(0.016, abs=0.0005)
+
+
+# A post; a bar that turns beside it at half its reach; a flag fixed above the post that overlaps it; a far box.
+PAIRS_URDF = """
+<robot name="r">
+  <link name="post"><collision><geometry><box size="0.1 0.1 0.2"/></geometry></collision></link>
+  <link name="slider"/>
+  <link name="flag"><collision><geometry><box size="0.2 0.02 0.02"/></geometry></collision></link>
+  <link name="bar"><collision><geometry><box size="0.3 0.02 0.02"/></geometry></collision></link>
+  <link name="far">
+    <collision><origin xyz="0.5 0 0"/><geometry><box size="0.02 0.02 0.02"/></geometry></collision></link>
+  <joint name="up" type="prismatic"><parent link="post"/><child link="slider"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="0.01" velocity="1" effort="1"/></joint>
+  <joint name="side" type="fixed"><parent link="slider"/><child link="flag"/></joint>
+  <joint name="swing" type="revolute"><parent link="flag"/><child link="bar"/><origin xyz="0 0.1 0"/><axis xyz="0 0 1"/>
+    <limit lower="-1.5" upper="1.5" velocity="1" effort="1"/></joint>
+  <joint name="out" type="revolute"><parent link="bar"/><child link="far"/><axis xyz="0 0 1"/>
+    <limit lower="-0.1" upper="0.1" velocity="1" effort="1"/></joint>
+</robot>
+"""
+
+
+def contacts_of(urdf):
+    robot = model.parse(urdf, '<robot name="r"><group name="g"><joint name="up"/><joint name="swing"/></group></robot>')
+    return SelfContacts(robot, {link: shapes_in_link(link, shapes) for link, shapes in link_shapes(robot).items()})
+
+
+@pytest.fixture(scope="module")
+def contacts():
+    return contacts_of(PAIRS_URDF)
+
+
+@pytest.fixture(scope="module")
+def found(contacts):
+    return unchecked_pairs(contacts, 400, 0, lambda _done: None)
+
+
+def test_links_are_adjacent_touch_never_or_always_and_those_that_touch_in_some_states_are_checked(found):
+    # Links without a shape are skipped: those before and behind them are adjacent.
+    adjacent = {(pair.first, pair.second) for pair in found if pair.reason == "Adjacent"}
+    assert adjacent == {("flag", "post"), ("bar", "flag"), ("bar", "far")}
+    assert UncheckedPair("post", "far", "Never") in found
+    assert frozenset(("post", "bar")) not in {frozenset((pair.first, pair.second)) for pair in found}
+    inside = contacts_of(PAIRS_URDF.replace('<origin xyz="0 0.1 0"/>', '<origin xyz="0 0 0"/>'))
+    assert UncheckedPair("post", "bar", "Always") in unchecked_pairs(inside, 50, 0, lambda _done: None)
+
+
+def test_a_free_state_is_drawn_where_none_is_given(contacts, found):
+    state, is_free = free_state(contacts, found, (np.array([0.0, 1.5, 0.0]),), 200, 0)
+    assert is_free
+    assert not contacts.touching(state, [("post", "bar")])

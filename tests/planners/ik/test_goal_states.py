@@ -11,7 +11,7 @@ from planners.ik.constraints import ConditionSet, goal_conditions
 from planners.ik.goal_states import DISTINCT_RAD, MAX_SOLUTIONS, GoalQuery, GoalStates
 from planners.problem import MoveItErrorCode as Code
 from planners.scene import Box, Pose
-from tests.planners.ik.test_constraints import pose_of
+from tests.planners.ik.test_kinematics import pose_of
 from tests.planners.invariants import never
 from tests.planners.scenes import scene, thing, tip_positions_m
 

@@ -1,20 +1,179 @@
+"""Inverse kinematics: constraints, the differential solver and exact solutions."""
+
 import numpy as np
+import pinocchio as pin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
-from planners.goals import AxisGoal, Constraints, JointConstraint, PoseGoal, PositionGoal
+from planners.goals import (
+    AxisGoal,
+    Constraints,
+    JointConstraint,
+    OrientationConstraint,
+    PoseGoal,
+    PositionConstraint,
+    PositionGoal,
+)
 from planners.goals import OrientationConstraint as Orientation
 from planners.goals import PositionConstraint as Region
-from planners.ik.constraints import ConditionSet, conditions, goal_conditions
+from planners.ik import constraints
+from planners.ik.constraints import AxisCondition, ConditionSet, TurnCondition, conditions, goal_conditions
+from planners.ik.differential import Task, barrier, bounded_least_squares, free_directions, solve, velocity_limit
 from planners.ik.kinematics import Descent, GoalConditions, Kinematics
 from planners.scene import Pose
 from robot.description import model
 from tests.helpers import robots
-from tests.planners.ik.test_constraints import pose_of
+from tests.helpers.resources import examples
 
 TIP = "gripper_frame_link"
 HOME = np.zeros(6)
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def violated(condition, turn_rad=(0.0, 0.0, 0.0), position_m=(0.0, 0.0, 0.0)):
+    placed = pin.SE3(pin.exp3(np.array(turn_rad)), np.array(position_m))
+    return condition.violation(condition.error(placed)).any()
+
+
+def test_box_region_lies_along_its_own_axes():
+    quarter = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
+    region = constraints.PointCondition("tip", np.zeros(3), np.zeros(3), quarter, np.array([0.3, 0.1, 0.1]))
+    assert not violated(region, position_m=(0.0, 0.25, 0.0))
+    assert violated(region, position_m=(0.25, 0.0, 0.0))
+
+
+def test_axis_that_is_parallel_or_opposite_has_a_finite_way_and_does_not_mind_turns_about_itself():
+    for direction, angle in ((UP, 0.0), (-UP, np.pi)):
+        error = AxisCondition("tip", UP, direction, 0.1).error(pin.SE3.Identity())
+        assert np.linalg.norm(error) == pytest.approx(angle)
+    condition = AxisCondition("tip", UP, UP, np.array([0.1, 0.1, np.pi]))
+    assert not violated(condition, (0.0, 0.0, 3.0))
+    assert violated(condition, (0.2, 0.0, 0.0))
+
+
+@pytest.fixture
+def forward(goal_states):
+    return goal_states.forward
+
+
+@pytest.fixture
+def condition_set(forward, collision):
+    return lambda **parts: ConditionSet(forward, conditions(Constraints(**parts), collision))
+
+
+def pose_of(forward, q, link=TIP):
+    forward.place(q)
+    values = pin.SE3ToXYZQUAT(forward.placement(link)).tolist()
+    return Pose(tuple(values[:3]), tuple(values[3:]))
+
+
+def test_a_pose_of_a_configuration_holds_there_and_not_elsewhere(forward, collision):
+    for q in np.random.default_rng(0).uniform(collision.lower_rad, collision.upper_rad, (5, 6)):
+        goal = PoseGoal(TIP, pose_of(forward, q), 0.01, (0.05, 0.05, 0.05), strict=True)
+        wanted = ConditionSet(forward, goal_conditions(goal, collision).required)
+        assert wanted.holds(q)
+        assert wanted.deviation(q).position_m == pytest.approx(0.0, abs=1e-9)
+        turned = q + 0.1 * np.eye(6)[collision.joint_names.index("wrist_roll")]
+        assert not wanted.holds(turned)
+        assert wanted.deviation(turned).orientation_rad == pytest.approx(0.1, abs=1e-6)
+
+
+def test_directions_are_taken_as_unit_vectors(forward, collision):
+    pose = pose_of(forward, HOME)
+    axis = constraints.rotation(pose.orientation)[:, 2]
+    goal = AxisGoal(TIP, pose.position_m, 0.001, (0.0, 0.0, 1.0005), tuple(0.9995 * axis), 0.01)
+    assert ConditionSet(forward, goal_conditions(goal, collision).required).holds(HOME)
+
+
+def test_free_axes_of_an_orientation_are_not_aimed_at(collision):
+    for tolerance_rad, kinds in (
+        ((0.1, 0.1, 0.1), [TurnCondition]),
+        ((0.1, 0.1, 3.15), [AxisCondition]),
+        ((0.1, 4.0, 4.0), [TurnCondition]),
+        ((4.0, 4.0, 4.0), []),
+    ):
+        orientation = OrientationConstraint(TIP, (0.0, 0.0, 0.0, 1.0), tolerance_rad)
+        found = conditions(Constraints(orientations=(orientation,)), collision)
+        assert [type(condition) for condition in found] == kinds, tolerance_rad
+
+
+def test_joint_range_ends_at_the_joints_limits_and_a_weight_that_nobody_set_counts_as_one(condition_set, collision):
+    column = collision.joint_names.index("elbow_flex")
+    upper = collision.upper_rad[column]
+    wanted = condition_set(joints=(JointConstraint("elbow_flex", upper, 0.5, 0.1),))
+    assert wanted.holds(upper * np.eye(6)[column])
+    assert not wanted.holds((upper + 0.01) * np.eye(6)[column])
+    constraint = JointConstraint("elbow_flex", 0.0, 0.1, 0.1, weight=0.0)
+    assert conditions(Constraints(joints=(constraint,)), collision)[0].weight == 1.0
+
+
+def test_violations_name_what_and_by_how_much(condition_set):
+    wanted = condition_set(
+        joints=(JointConstraint("elbow_flex", 0.5, 0.1, 0.1),),
+        positions=(PositionConstraint(TIP, Pose((0.3913, 0.0, 0.2264 + 0.05)), radius_m=0.03),),
+    )
+    joint, position = wanted.violations(HOME)
+    assert joint.sentence == "joint 'elbow_flex' is at 0 rad, outside 0.4 to 0.6 rad"
+    assert joint.details["lower_rad"] == pytest.approx(0.4)
+    assert "2.0 cm outside" in position.sentence
+    assert position.details["beyond_m"] == pytest.approx(0.02, abs=1e-3)
+
+
+DAMPING = 0.01
+
+
+def problem(seed):
+    """A problem of five unknowns, some of its inequalities at their bounds from the start."""
+    chance = np.random.default_rng(seed)
+    bounds = np.maximum(chance.normal(size=12), 0.0)
+    return chance.normal(size=(3, 5)), chance.normal(size=3), DAMPING, chance.normal(size=(12, 5)), bounds
+
+
+@examples(100)
+@given(st.integers(0, 10**6))
+def test_the_solution_keeps_every_inequality_and_is_optimal(seed):
+    matrix, wanted, damping, rows, bounds = problem(seed)
+    x, active = bounded_least_squares(matrix, wanted, damping, rows, bounds)
+    assert (rows @ x <= bounds + 1e-7).all()
+    # Karush, Kuhn and Tucker: what is left of the slope is held by the active inequalities, each pushing back.
+    slope = matrix.T @ (wanted - matrix @ x) - damping**2 * x
+    pushes = np.linalg.lstsq(rows[active].T, slope, rcond=None)[0]
+    assert rows[active].T @ pushes == pytest.approx(slope, abs=1e-5)
+    assert (pushes >= -1e-5).all()
+
+
+def test_a_task_of_lower_priority_changes_nothing_about_the_first_and_keeps_the_limit():
+    chance = np.random.default_rng(2)
+    jacobian, angular = chance.normal(size=(2, 3, 6))
+    wanted = Task(jacobian, np.array([0.1, 0.2, -0.1]))
+    limit = velocity_limit(np.full(6, 0.3))
+    first, _ = solve([wanted], 1e-6, limit)
+    both, active = solve([Task(angular, np.ones(3))], 1e-3, limit, first, free_directions(jacobian, 1e-6))
+    assert jacobian @ both == pytest.approx(wanted.velocity, abs=1e-6)
+    assert np.linalg.norm(angular @ both - 1.0) < np.linalg.norm(angular @ first - 1.0)
+    assert active.size
+    assert np.abs(both).max() <= 0.3 + 1e-9
+
+
+def test_of_two_tasks_alike_the_costlier_is_met_better():
+    tasks = [Task(np.eye(2), np.zeros(2)), Task(np.eye(2), np.ones(2), 3.0)]
+    assert solve(tasks, 1e-6)[0] == pytest.approx([0.9, 0.9])
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-4, 0.01, 0.3])
+def test_behind_a_barrier_a_joint_comes_to_rest_in_time(distance):
+    change, period = 0.02, 0.02
+    limit = barrier(np.array([distance]), np.array([[-1.0]]), np.array([change]), period, gain=100.0)
+    velocity = float(limit.bounds[0])
+    way = 0.0
+    while velocity > 0.0:
+        way += velocity * period
+        velocity -= change
+    assert way <= distance + 1e-12
+    assert limit.rows == pytest.approx(np.array([[1.0]]))
 
 
 class Bench:

@@ -1,15 +1,21 @@
+"""The arm process, and the contract of an arm by its handle."""
+
 import asyncio
+import os
+import signal
 from collections.abc import AsyncIterator
 from typing import Any
 
 import numpy as np
 import pytest
+import pytest_asyncio
 
 from harness.waiting import TIMEOUT_S, until
 from robot.arm import MAX_EARLY_ORDERS, ArmProcess, ArmStream, start_arm_process
 from robot.hardware.config import SerialConfig
-from robot.messages import ArmConfig, ArmState, Command, CommandDone, MotionEnded, Order, Outcome, Setpoint, Stop
+from robot.messages import ArmConfig, ArmState, Command, CommandDone, Mode, MotionEnded, Order, Outcome, Setpoint, Stop
 from robot.processes import StartedChild
+from tests.helpers.arm_contract import STILL_RAD, ArmContract, Place, place_of
 from tests.helpers.robots import nominal_calibration, so101
 
 CONFIG = ArmConfig(so101(), SerialConfig(nominal_calibration(), "/dev/does-not-exist"))
@@ -83,3 +89,35 @@ async def test_setpoints_go_out_under_the_streams_number_until_it_has_ended() ->
     ended.set_result(MotionEnded(5, Outcome.STOPPED, "stopped"))
     stream.steer(np.array([0.4]))
     assert [(each.motion_id, each.velocity_rad_s.tolist()) for each in sent] == [(5, [0.3])]
+
+
+# Populations of Feetech servos: tests/robot has lerobot, and a kit gets no torque before its ids are set.
+FOUND = ("factory", "ros2_driver", "clone")
+KINDS = ["emulated Dynamixel servos", *(f"pseudo terminal, {name}" for name in FOUND), "real arm"]
+
+
+@pytest_asyncio.fixture(loop_scope="module", scope="module", params=KINDS)
+async def place(request: pytest.FixtureRequest) -> AsyncIterator[Place]:
+    async with place_of(request.param, request.config.getoption("--arm")) as made:
+        yield made
+
+
+@pytest.mark.asyncio(loop_scope="module")
+class TestArmContract(ArmContract):
+    """Contract of every arm; each test leaves it holding where it was, or near."""
+
+    async def test_a_killed_arm_process_is_replaced_and_adopts_the_arm(self, place: Place) -> None:
+        held = place.held()
+        assert place.arm.pid is not None
+        os.kill(place.arm.pid, signal.SIGKILL)
+        await until(lambda: place.arm.state.mode is Mode.DISCONNECTED)
+        await until(lambda: place.arm.state.mode is Mode.HOLDING)
+        assert abs(place.held() - held) < STILL_RAD
+
+    async def test_an_arm_that_was_closed_holds_until_the_next_process_finds_it(self, place: Place) -> None:
+        if place.config.hardware.simulated:
+            pytest.skip("a simulated arm ends with its process")
+        held = place.held()
+        await place.arm.close()
+        await place.start()
+        assert abs(place.held() - held) < STILL_RAD

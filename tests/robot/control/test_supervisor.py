@@ -194,6 +194,16 @@ def test_an_arm_that_is_being_enabled_can_be_relaxed(start_rig: Start) -> None:
     assert (rig.mode, rig.torque()) == (Mode.RELAXED, [0] * 6)
 
 
+def test_an_arm_that_is_being_relaxed_sinks_no_faster_when_it_is_asked_for_again(rig: ArmRig) -> None:
+    number = rig.begin(Order.RELAX)
+    rig.run(0.5)
+    assert rig.refused(Order.RELAX) == "the arm is busy: relaxing"
+    rig.run(0.3)
+    assert rig.torque() == [1] * 6
+    assert rig.wait(number).done
+    assert (rig.mode, rig.torque()) == (Mode.RELAXED, [0] * 6)
+
+
 def test_setpoints_steer_a_stream_whose_goals_are_sent_at_every_tick_and_other_streams_are_not_steered(
     rig: ArmRig,
 ) -> None:

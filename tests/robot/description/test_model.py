@@ -76,7 +76,11 @@ def test_another_robot_is_read_from_its_files(tmp_path: Path) -> None:
 BROKEN = {
     "no XML": ("<robot", SRDF, "URDF is not XML"),
     "another root": ("<html/>", SRDF, "<html>"),
-    "no limit": (URDF.replace('<limit lower="-1" upper="2" velocity="3"/>', ""), SRDF, "joint 'ab' has no <limit>"),
+    "no limit": (
+        URDF.replace('<limit lower="-1" upper="2" velocity="3"/>', ""),
+        SRDF,
+        "joint 'ab' has no <limit>: add <limit ",
+    ),
     "limits reversed": (URDF.replace('lower="-1"', 'lower="4"'), SRDF, "lower 4 must be below upper 2"),
     "limit not finite": (URDF.replace('lower="-1"', 'lower="nan"'), SRDF, "lower must be a finite number, not 'nan'"),
     "two roots": (URDF.replace('<link name="a"/>', '<link name="a"/><link name="z"/>'), SRDF, "exactly one root"),

@@ -1,3 +1,5 @@
+"""Emulated arms: servos, the weight of their links, and the adapter that the arm process reads them by."""
+
 import contextlib
 import json
 import warnings
@@ -12,15 +14,16 @@ from hypothesis import strategies as st
 
 from robot.calibration import Calibration
 from robot.description import model
-from robot.emulator.arm import EmulatedArm, LinkWeights, weight_of
+from robot.emulator.arm import MAX_WAITING_BYTES, EmulatedArm, LinkWeights, weight_of
 from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos
-from robot.errors import StartupError
-from robot.hardware.feetech.registers import Register
+from robot.errors import NoReply, StartupError
+from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
 from robot.hardware.interface import HardwareInterface, run_to_end
+from robot.hardware.port import LOCAL_LATENCY_S
 from tests.helpers import arm_rig, dynamixel
 from tests.helpers.dynamixel import emulated_arm
-from tests.helpers.emulated_family import run
-from tests.helpers.emulator import SteppedClock
+from tests.helpers.emulator import ALL, COMMANDS, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet
+from tests.helpers.resources import examples
 from tests.helpers.robots import SO101_SERVOS, so101
 
 CALIBRATIONS = {"feetech": arm_rig.CALIBRATION, "dynamixel": dynamixel.CALIBRATION}
@@ -94,16 +97,6 @@ def test_replies_are_lost_or_damaged_as_configured_and_alike_for_a_seed(kind: st
     assert first == again != other
 
 
-@OF_BOTH_FAMILIES
-def test_the_weight_of_the_links_is_on_the_servos_and_a_relaxed_arm_sinks(kind: str, clock: SteppedClock) -> None:
-    upright = emulated_arm(kind, clock, start_rad={"shoulder_lift": -0.485}).bus.servos[1].plant.gravity_permille
-    shoulder = emulated_arm(kind, clock, start_rad={"shoulder_lift": 1.0}).bus.servos[1]
-    stretched, before = shoulder.plant.gravity_permille, shoulder.plant.position_ticks
-    assert abs(stretched) > 1.2 * abs(upright) > 0.0
-    run(shoulder, 1.0)
-    assert (shoulder.plant.position_ticks - before) * stretched < 0.0
-
-
 @pytest.mark.parametrize(("resumes", "lines"), [(False, []), (True, ["{}"])])
 def test_only_servos_that_were_there_before_go_on_with_their_record(
     clock: SteppedClock, write_log: Path, resumes: bool, lines: list[str]
@@ -128,12 +121,6 @@ def offset_calibration(tmp_path: Path) -> Calibration:
     path = tmp_path / "arm.json"
     path.write_text(json.dumps({spec.joint: {"id": spec.servo_id + 10, **entry} for spec in SO101_SERVOS}))
     return Calibration.load(path, SO101_SERVOS)
-
-
-def test_a_calibration_gives_the_servos_its_offsets_and_ranges(offset_calibration: Calibration) -> None:
-    servo = build_servos(offset_calibration, [0.0] * 6)[0]
-    assert (servo.servo_id, servo.present_ticks, servo.value(Register.HOMING_OFFSET)) == (11, 1950, -120)
-    assert (servo.value(Register.MIN_ANGLE_LIMIT), servo.value(Register.MAX_ANGLE_LIMIT)) == (900, 3000)
 
 
 def gravity_permille(calibration: Calibration, pose: list[float]) -> list[float]:
@@ -190,3 +177,88 @@ def test_a_torque_is_the_gradient_of_the_links_energy(angles):
 def test_a_prismatic_joint_carries_all_that_hangs_on_it():
     hoist = model.parse(HOIST_URDF, HOIST_SRDF)
     assert LinkWeights(hoist).holding_torques({"lift": 0.3}) == {"lift": pytest.approx(19.62)}
+
+
+BLOCK_READ = packet(ALL, SYNC_READ, [TELEMETRY_ADDRESS, TELEMETRY_BYTES, *IDS])
+STEP_S = 0.01
+
+
+@pytest.fixture
+def at_once() -> SteppedEmulator:
+    """Servos on a wire that takes no time, as in the arm process."""
+    return SteppedEmulator(wire_time=False)
+
+
+@examples(40)
+@given(
+    st.lists(
+        st.one_of(
+            REQUESTS,
+            st.sampled_from([0.02, 0.1, 1.0]),
+            st.sampled_from([command for command in COMMANDS if "delay" not in command]),
+        ),
+        max_size=15,
+    )
+)
+def test_the_packets_are_those_of_a_bus_whose_bytes_take_their_time(events: list[Any]) -> None:
+    with_wire, without = SteppedEmulator(wire_time=True), SteppedEmulator(wire_time=False)
+    for event in events:
+        heard = []
+        for emulator in (with_wire, without):
+            if isinstance(event, bytes):
+                emulator.port.writePort(event)
+            elif isinstance(event, dict):
+                emulator.command(**event)
+            else:
+                emulator.clock.advance(event)
+            # Long enough for all that can be on the wire.
+            emulator.clock.advance(2 * STEP_S)
+            heard.append(emulator.port.receive(0.0))
+        assert heard[0] == heard[1]
+
+
+def test_replies_are_there_at_once_one_that_does_not_come_is_not_waited_for_and_no_time_passes(at_once):
+    started_s = at_once.clock()
+    at_once.port.writePort(BLOCK_READ)
+    assert len(at_once.port.receive(1.0)) == 6 * (TELEMETRY_BYTES + 6)
+    with pytest.raises(NoReply):
+        at_once.open_bus().ping(9)
+    assert at_once.clock() == started_s
+    # Nor do USB frames delay a reply.
+    at_once.clock.advance(0.0001)
+    at_once.command(usb_frame_ms=1)
+    assert len(at_once.open_bus().sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
+
+
+def test_with_wire_time_replies_and_silence_are_waited_for_as_on_a_serial_port(emulator):
+    started_s = emulator.clock()
+    emulator.port.writePort(packet(1, PING))
+    assert len(emulator.port.receive(1.0)) == 6
+    assert emulator.clock() - started_s == pytest.approx(12 * 10e-6 + 20e-6)
+    started_s = emulator.clock()
+    assert emulator.port.receive(0.25) == b""
+    assert emulator.clock() - started_s == pytest.approx(0.25)
+    started_s = emulator.clock()
+    with pytest.raises(NoReply):
+        emulator.open_bus().ping(9, attempts=1)
+    assert LOCAL_LATENCY_S < emulator.clock() - started_s < 0.01
+
+
+def test_unexpected_bytes_are_discarded_and_counted_and_a_closed_port_has_none_left(at_once):
+    at_once.port.writePort(packet(1, PING))
+    at_once.port.clearPort()
+    assert at_once.port.discarded_bytes == 6
+    assert at_once.port.receive(0.0) == b""
+    at_once.port.writePort(packet(1, PING))
+    at_once.port.closePort()
+    assert at_once.port.receive(0.0) == b""
+
+
+def test_a_frozen_adapter_is_silent_and_keeps_no_more_than_a_pseudo_terminal(at_once):
+    ping = packet(1, PING)
+    at_once.command(frozen=True)
+    for _ in range(MAX_WAITING_BYTES):
+        assert at_once.port.writePort(ping) == len(ping)
+    assert at_once.port.receive(1.0) == b""
+    at_once.command(frozen=False)
+    assert len(at_once.port.receive(1.0)) == MAX_WAITING_BYTES // len(ping) * len(ping)

@@ -1,13 +1,11 @@
-from hashlib import sha512
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import ValidationError
 
-from protocol.operations import Auth
 from server.access import authentication
-from server.access.authentication import MAX_KEPT, MAX_WRONG, WINDOW_S, AuthThrottle, RosauthVerifier, Tokens
+from server.access.authentication import MAX_WRONG, WINDOW_S, AuthThrottle, Tokens
 from server.access.settings import AccessSettings
 from server.config_loader import load
 from server.errors import ConfigurationError
@@ -97,76 +95,6 @@ class TestFile:
         assert "my-secret" not in str(refused.value)
         # The cause of an error is printed with it.
         assert refused.value.__cause__ is None or "my-secret" not in str(refused.value.__cause__)
-
-
-ADA, SCREEN = Identity("ada", Role.ADMIN), Identity("screen", Role.VIEW)
-NOW_S = 1_000_000.0
-
-
-def proof(secret: str = ONE, rand: str = "r", t: int = 1_000_000, level: str = "user", end: int = 1_000_100) -> Auth:
-    """As clients of rosauth make them."""
-    mac = sha512(f"{secret}10.0.0.110.0.0.2{rand}{t}{level}{end}".encode()).hexdigest()
-    return Auth(mac=mac, client="10.0.0.1", dest="10.0.0.2", rand=rand, t=t, level=level, end=end)
-
-
-@pytest.fixture
-def verifier() -> RosauthVerifier:
-    return RosauthVerifier(Tokens({ONE: ADA, TWO: SCREEN}, None))
-
-
-def test_a_proof_made_with_a_token_identifies_its_owner(verifier: RosauthVerifier) -> None:
-    assert verifier.identify(proof(), NOW_S) == ADA
-    assert verifier.identify(proof(TWO, rand="s"), NOW_S) == SCREEN
-    # The level that a client gives itself does not count.
-    assert verifier.identify(proof(TWO, level="admin"), NOW_S) == SCREEN
-
-
-@pytest.mark.parametrize(
-    ("made", "after_s", "words"),
-    [
-        (proof("guessed-0123456789"), 0.0, "invalid token"),
-        (proof(), -5.1, "field t"),
-        (proof(), 5.1, "field t"),
-        (proof(end=1_000_000), 1.0, "field end"),
-    ],
-)
-def test_another_secret_or_time_is_no_proof(verifier: RosauthVerifier, made: Auth, after_s: float, words: str) -> None:
-    assert words in str(verifier.identify(made, NOW_S + after_s))
-
-
-def test_a_proof_of_which_a_field_was_changed_does_not_count(verifier: RosauthVerifier) -> None:
-    for field in ("client", "dest", "rand", "t", "level", "end"):
-        changed = {"t": 1_000_001, "end": 1_000_101}.get(field, "x")
-        refusal = verifier.identify(proof().model_copy(update={field: changed}), NOW_S)
-        assert "field mac" in str(refusal), field
-
-
-def test_a_replayed_proof_in_which_fields_lend_one_another_characters_does_not_count(verifier: RosauthVerifier) -> None:
-    shown = proof(rand="random")
-    assert verifier.identify(shown, NOW_S) == ADA
-    shifted = shown.model_copy(update={"dest": shown.dest + "ran", "rand": "dom"})
-    assert "used before" in str(verifier.identify(shifted, NOW_S))
-    assert "used before" in str(verifier.identify(shown.model_copy(update={"mac": str(shown.mac).upper()}), NOW_S))
-
-
-def test_a_replayed_proof_does_not_count_at_its_last_moment_either(verifier: RosauthVerifier) -> None:
-    late = proof(t=1_000_005)
-    assert verifier.identify(late, NOW_S) == ADA
-    assert "used before" in str(verifier.identify(late, NOW_S + 10.0))
-
-
-def test_wrong_proofs_are_not_kept_and_right_ones_no_longer_than_they_are_good(verifier: RosauthVerifier) -> None:
-    for number in range(3):
-        verifier.identify(proof("guessed-0123456789", rand=str(number)), NOW_S)
-    assert not verifier._seen
-    verifier.identify(proof(rand="a"), NOW_S)
-    verifier.identify(proof(rand="b", t=1_000_020), NOW_S + 20.0)
-    assert list(verifier._seen) == [proof(rand="b", t=1_000_020).mac]
-
-
-def test_no_more_proofs_are_taken_than_can_be_kept(verifier: RosauthVerifier) -> None:
-    verifier._seen.update((str(number), NOW_S + 5.0) for number in range(MAX_KEPT))
-    assert f"{MAX_KEPT} proofs were used within 10 s" in str(verifier.identify(proof(), NOW_S))
 
 
 GUESSER = "192.0.2.1"

@@ -6,7 +6,7 @@ import pytest
 
 from harness.clients import ArmClient
 from harness.server import ROOT
-from protocol.operations import Auth, CallService, Operation, Publish, SendActionGoal, parse
+from protocol.operations import CallService, Operation, Publish, SendActionGoal, parse
 from server.access import authorization
 from server.access.authorization import MAX_SETTLED, Access, Authorizer, unlimited
 from server.access.settings import AccessSettings
@@ -290,11 +290,6 @@ def test_a_client_that_uses_many_topics_takes_no_more_memory_for_it() -> None:
     for number in range(2 * MAX_SETTLED):
         assert asked(authorizer, "publish", f"/t{number}") is None
     assert len(authorizer.settled) == MAX_SETTLED
-
-
-def test_an_auth_without_a_token_names_the_missing_field() -> None:
-    access = World(operate_tokens={"otto": "one-0123456789abcdef"}).access
-    assert "wanted the field token" in str(access.identify(Auth()))
 
 
 def test_without_limits_all_drive_at_once() -> None:

@@ -14,8 +14,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from robot.control.pacing import PERIOD_S
 from robot.trajectory import Vector
-from server.chunks.action_chunks import ACTION_TYPE, MAX_JUMP_RAD, PAUSE_S, PolicyPhase
-from server.chunks.gripper import SETTLES_S
+from server.chunks.action_chunks import ACTION_TYPE, MAX_JUMP_RAD, PAUSE_S, SETTLES_S, PolicyPhase
 from server.execution.executor import CHECKS_AHEAD
 from server.execution.motions import SENDINGS_S
 from server.graph.permissions import Node
@@ -353,6 +352,17 @@ async def test_the_gripper_follows_its_targets_at_their_times_and_then_holds(pol
     np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
 
 
+@pytest.mark.parametrize("service", [PAUSE, STOP])
+async def test_a_gripper_that_is_behind_the_arm_s_end_stops_with_the_policy(policy: Policy, service: str) -> None:
+    far = np.column_stack((ramp(6, 0.0), np.full(6, HOME["gripper"] + 1.2)))
+    await policy.send(0.35, chunk(far, (*ARM_JOINTS, "gripper")))
+    policy.stage.call(service)
+    await asyncio.sleep(0.3)
+    stands = policy.goals_rad[-1][GRIPPER]
+    await asyncio.sleep(SETTLES_S)
+    assert policy.goals_rad[-1][GRIPPER] == stands < HOME["gripper"] + 1.1
+
+
 async def test_the_action_gives_the_answer_as_feedback_and_its_end_as_result(policy: Policy) -> None:
     feedback: list[dict[str, Any]] = []
     policy.stage.graph.actions.send_goal(
@@ -461,6 +471,18 @@ async def test_a_chunk_of_an_observation_from_before_the_resumption_is_refused(p
     policy.publish(chunk(ramp(60), stamp_s=observed_s))
     assert "is from before the policy was resumed" in policy.refusals[-1]
     await policy.send(0.3, chunk(ramp(60), stamp_s=now_s()))
+    assert policy.phase == PolicyPhase.FOLLOWING
+
+
+async def test_a_wall_clock_set_back_after_the_resumption_refuses_no_chunk(
+    policy: Policy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await asyncio.sleep(0.1)
+    policy.stage.call(RESUME)
+    loop = asyncio.get_running_loop()
+    monkeypatch.setattr(time, "time", lambda: FAR_S - 100.0 + loop.time())
+    await asyncio.sleep(0.1)
+    await policy.send(0.3, chunk(ramp(60), stamp_s=time.time()))
     assert policy.phase == PolicyPhase.FOLLOWING
 
 

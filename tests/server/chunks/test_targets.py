@@ -130,6 +130,13 @@ def test_weights_of_real_time_chunking_fall_from_the_former_chunk_to_the_new_one
     assert above[-1] > 0.09
 
 
+def test_targets_of_an_hour_ago_are_not_kept() -> None:
+    joined = wave()
+    for number in range(100):
+        joined = blended(joined, shifted(0.0, number / 3.0), Blend.REPLACE, 1.0, BEGINS_S + number / 3.0)
+    assert len(joined.time_s) < 3 * len(wave().time_s)
+
+
 def test_chunks_that_do_not_meet_are_not_blended() -> None:
     new = shifted(0.0, 5.0)
     assert blended(wave(), new, Blend.ENSEMBLE, 0.5, NOW_S) is new

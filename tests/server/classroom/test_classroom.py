@@ -1,11 +1,15 @@
+"""A classroom and its students."""
+
+import stat
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from server.classroom.classroom import run_classroom
+from server.classroom.students import LIST_FILE, TEACHER, new_token, places, reachable_name, read_tokens, write_list
 from server.config import Settings
-from server.errors import ConfigurationError
+from server.errors import ConfigurationError, StartError
 
 
 @pytest.mark.parametrize(
@@ -37,3 +41,58 @@ def test_students_by_name_have_physics_and_the_others_none(tmp_path: Path, monke
     monkeypatch.setattr(f"{module}.supervise", lambda members, _check: [member.run() for member in members[1:]])
     run_classroom(Settings.model_validate({"server": {"port": 0}}), 3, 2, tmp_path, ["student02"])
     assert served == ["light", "physics", "light"]
+
+
+TOKEN = "t" * 24
+HOST = "127.0.0.1"
+
+
+def test_ports_follow_the_first_and_end_where_ports_end(tmp_path: Path) -> None:
+    assert [student.port for student in places(3, 9100, tmp_path, HOST)] == [9100, 9101, 9102]
+    students = places(20, 0, tmp_path, HOST)
+    assert len({student.port for student in students}) == len({student.token for student in students}) == 20
+    with pytest.raises(ConfigurationError, match="65530 to 65539, there are none above 65535"):
+        places(10, 65_530, tmp_path, HOST)
+
+
+def test_the_list_has_name_address_and_token_of_each_and_tokens_stay_for_the_next_time(tmp_path: Path) -> None:
+    file, students = tmp_path / LIST_FILE, places(2, 9100, tmp_path, HOST)
+    write_list(file, students, TOKEN, HOST, tls=True)
+    # Lines as awk and cut take them, too.
+    assert file.read_bytes().decode() == (
+        f"name,url,token\nstudent01,wss://127.0.0.1:9100,{students[0].token}\n"
+        f"student02,wss://127.0.0.1:9101,{students[1].token}\nteacher,wss://127.0.0.1:9100,{TOKEN}\n"
+    )
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    after = [student.token for student in places(3, 9200, tmp_path, HOST)]
+    assert after[:2] == [student.token for student in students]
+    assert after[2] not in after[:2]
+    assert read_tokens(file)[TEACHER] == TOKEN
+
+
+@pytest.mark.parametrize("text", ["name,url\nstudent01,ws://x\n", "name,url,token\nstudent01,ws://x,short\n"])
+def test_a_file_that_is_no_such_list_is_refused_and_left_alone(tmp_path: Path, text: str) -> None:
+    (tmp_path / LIST_FILE).write_text("")
+    assert read_tokens(tmp_path / LIST_FILE) == {}
+    (tmp_path / LIST_FILE).write_text(text)
+    with pytest.raises(StartError, match="is no list of students"):
+        places(1, 9100, tmp_path, HOST)
+    assert (tmp_path / LIST_FILE).read_text() == text
+
+
+def test_what_a_server_keeps_is_in_the_students_folder_and_tokens_of_their_name_are_refused(tmp_path: Path) -> None:
+    (student,) = places(1, 9100, tmp_path, HOST)
+    ports = {"student01": 9100, "student02": 9101}
+    settings = student.settings(Settings.model_validate({"recording": {"file": "runs/lesson.mcap"}}), TOKEN, ports)
+    kept = (settings.scene.file, settings.goals.named_states_file, settings.recording.file)
+    assert [file.parent for file in kept if file is not None] == [tmp_path / "student01"] * 3
+    assert (settings.server.port, settings.server.classroom) == (9100, ports)
+    own = Settings.model_validate({"access": {"operate_tokens": {"student01": new_token()}}})
+    with pytest.raises(ConfigurationError, match="student01"):
+        student.settings(own, TOKEN, {})
+
+
+def test_an_address_that_stands_for_all_is_shown_by_the_name_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("socket.gethostname", lambda: "lab")
+    shown = [reachable_name(host) for host in ("0.0.0.0", "::", "10.0.0.2", "::1", "lab.example.org")]
+    assert shown == ["lab", "lab", "10.0.0.2", "[::1]", "lab.example.org"]

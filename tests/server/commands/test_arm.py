@@ -1,4 +1,6 @@
 import functools
+import itertools
+import signal
 
 import pytest
 
@@ -91,6 +93,21 @@ def test_an_arm_that_holds_is_relaxed_and_then_left_alone(armbridge, bus, write_
     assert written
     assert armbridge("relax").returncode == ExitCode.DONE
     assert write_log.read_text() == written
+
+
+def test_an_arm_is_relaxed_to_the_end_before_ctrl_c_is_taken(armbridge, emulator, bus, monkeypatch):
+    hold(bus)
+    waits = itertools.count()
+
+    def wait(wait_s):
+        emulator.run(wait_s)
+        if next(waits) == 30:
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(arm, "run_to_end", functools.partial(run_to_end, wait=wait))
+    assert armbridge("relax").returncode == ExitCode.FAILED
+    assert torque(bus) == [0] * 6
+    assert min(bus.read(servo_id, Register.TORQUE_LIMIT) for servo_id in IDS) >= 500
 
 
 def test_a_servo_that_does_not_confirm_is_named_as_perhaps_driven(armbridge, emulator, bus):

@@ -1,14 +1,32 @@
+"""Episodes: marking, frames and samples."""
+
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
+from server.datasets import samples as samples_module
 from server.datasets.episodes import EPISODE_TOPIC, EPISODE_TYPE, START, Episode, Mark, episodes_of, parse_mark
-from server.datasets.marking import DISCARD_SERVICE, START_SERVICE, STATE, STATE_TYPE, STOP_SERVICE, EpisodeServices
+from server.datasets.frames import LeftOutError, Tracks, frames_of, in_lerobot_units
+from server.datasets.lerobot import QUANTILES, ImageStatistics
+from server.datasets.marking import (
+    DISCARD_SERVICE,
+    MAX_WATCHED,
+    START_SERVICE,
+    STATE,
+    STATE_TYPE,
+    STOP_SERVICE,
+    EpisodeServices,
+)
+from server.datasets.samples import JointSample, read_samples, series, times_s
+from server.errors import RecordingError
 from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from tests.helpers.graph import called, listen
+from tests.server.datasets.conftest import JOINTS, Record, state, states
 from tests.server.recordings import REGISTRY
 
 
@@ -73,6 +91,23 @@ async def test_a_silent_camera_is_reported_as_soon_as_its_episode_ends(caplog: p
         f"episode 3 has ended after 1.4 s. {left_out} 1.4 s",
     ]
     assert f"episode 2 would be left out of a dataset: {CAMERA} was silent for 0.9 s" in caplog.text
+
+
+async def test_topics_that_nobody_publishes_are_no_cameras_and_not_all_that_clients_make_up_are_watched() -> None:
+    marked, client, commanded = Marked(), Node("client", remote=True), "/made_up_controller/controller_state"
+    await marked.call(START_SERVICE, task="")
+
+    def watched() -> int:
+        marked.services.look()
+        return sum(each["key"].startswith("rate_hz.") for each in marked.states[-1]["values"])
+
+    marked.graph.subscribe(client, CAMERA, "sensor_msgs/Image", Subscriber(lambda _published: None))
+    assert watched() == 0
+    for number in range(2 * MAX_WATCHED):
+        marked.graph.advertise(client, f"/camera{number}", "sensor_msgs/Image")
+    marked.graph.advertise(client, commanded, "std_msgs/String")
+    assert watched() == MAX_WATCHED
+    assert marked.graph.subscribers(commanded) == []
 
 
 # Intervals between images [s], their delay behind their stamps [s], and the problem.
@@ -183,3 +218,118 @@ def test_a_task_is_one_line() -> None:
     assert parse_mark(" start  pick\n the cube ") == Mark(START, "pick the cube")
     for mark in (Mark(START), Mark(START, "pick the cube")):
         assert parse_mark(mark.text) == mark
+
+
+TIMES_S = np.arange(0.0, 4.0001, 0.02)
+TRACKS = Tracks(TIMES_S, 0.1 * TIMES_S[:, None], None, None, {})
+EPISODE = Episode(1.0, 2.0, "go")
+
+
+def test_states_are_interpolated_at_a_fixed_rate_and_action_and_image_are_the_last_before_the_frame() -> None:
+    late_s = TIMES_S + 0.005
+    numbers = np.arange(len(late_s))
+    tracks = replace(TRACKS, action_times_s=late_s, actions=numbers[:, None], image_times_s={"c": late_s})
+    frames = frames_of(EPISODE, tracks, 10)
+    assert (frames.count, frames.start_s) == (11, 1.0)
+    assert frames.states[:, 0] == pytest.approx(0.1 + 0.01 * np.arange(11))
+    for found in (frames.actions[:, 0], frames.images["c"]):
+        assert found.tolist() == [49 + 5 * n for n in range(11)]
+    assert frames_of(EPISODE, tracks, 30).states[:, 0] == pytest.approx(0.1 + 0.1 * np.arange(31) / 30)
+
+
+GAP_S = np.delete(TIMES_S, np.flatnonzero((TIMES_S > 1.2) & (TIMES_S < 1.79)))
+
+EARLY_S, LATE_S = TIMES_S[:70], TIMES_S[80:]
+LEFT_OUT: list[tuple[dict[str, Any], str]] = [
+    ({"state_times_s": GAP_S, "states": 0.1 * GAP_S[:, None]}, "the states have a gap of 0.6 s, 0.2 s after it begins"),
+    ({"state_times_s": EARLY_S, "states": TRACKS.states[:70]}, "the states end 0.6 s before it does"),
+    ({"image_times_s": {"/c": GAP_S}}, "the images on /c have a gap of 0.6 s, 0.2 s after it begins"),
+    ({"image_times_s": {"/c": TIMES_S[:65]}}, "the images on /c have a gap of 0.7 s, 0.3 s after it begins"),
+    ({"image_times_s": {"/c": np.array([])}}, "the images on /c are missing"),
+    (
+        {"action_times_s": LATE_S, "actions": TRACKS.states[80:], "action_name": "/a"},
+        "the actions on /a begin 0.6 s after it does",
+    ),
+]
+
+
+@pytest.mark.parametrize(("changes", "sentence"), LEFT_OUT)
+def test_an_episode_with_something_missing_is_left_out_with_the_place(changes: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(LeftOutError) as left_out:
+        frames_of(EPISODE, replace(TRACKS, **changes), 10)
+    assert str(left_out.value) == sentence
+
+
+def test_an_episode_of_one_frame_is_left_out_and_one_beside_a_gap_is_not() -> None:
+    with pytest.raises(LeftOutError, match="it has 1 frames at 10 a second, and needs 2"):
+        frames_of(Episode(1.0, 1.15, ""), TRACKS, 10)
+    assert frames_of(Episode(2.0, 3.0, ""), replace(TRACKS, **LEFT_OUT[0][0]), 10).count == 10
+
+
+def test_an_episode_begins_where_everything_has_begun_also_after_a_silence_before_it() -> None:
+    frames = frames_of(EPISODE, replace(TRACKS, image_times_s={"c": np.arange(1.3, 2.0, 0.1)}), 10)
+    assert frames.start_s == pytest.approx(1.3)
+    spoken_s = TIMES_S[(TIMES_S < 0.2) | (TIMES_S > 1.11)]
+    frames = frames_of(EPISODE, replace(TRACKS, action_times_s=spoken_s, actions=spoken_s[:, None]), 10)
+    assert frames.start_s == pytest.approx(1.12)
+    assert frames.actions[:, 0] == pytest.approx(1.12 + np.arange(9) / 10)
+
+
+def test_units_of_lerobot_are_degrees_from_the_zero_and_percent_of_the_grippers_range() -> None:
+    positions = np.array([[np.pi / 2, 0.5, 0.5]])
+    joints = ("shoulder_pan", "gripper", "left_gripper")
+    ranges = {"gripper": (0.0, 2.0), "left_gripper": (-0.5, 1.5)}
+    for zero_rad, degrees in ((0.0, 90.0), (np.pi / 4, 45.0)):
+        zeros_rad = {"shoulder_pan": zero_rad, "gripper": 1.0}
+        found = in_lerobot_units(positions, joints, ranges, zeros_rad)[0]
+        assert found == pytest.approx([degrees, 25.0, 50.0])
+
+
+def test_a_message_that_does_not_fit_its_type_is_counted_and_more_samples_than_fit_are_refused(
+    recorded: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = state(0.5)._replace(octets=b"\0\1\0\0\7")
+    assert read_samples(recorded([state(0.0), broken]), REGISTRY).unreadable == 1
+    monkeypatch.setattr(samples_module, "MAX_SAMPLES", 20)
+    with pytest.raises(RecordingError, match="must have at most 20 states, goals and images"):
+        read_samples(recorded(states(1.0)), REGISTRY)
+
+
+def test_stamps_take_the_jitter_off_and_the_difference_of_clocks_where_they_can_be_used() -> None:
+    stamps = np.arange(100.0, 101.0, 0.02)
+    late = np.tile([0.0, 0.004], 25)
+    times = times_s(stamps + 5000.0 + late, stamps)
+    assert np.diff(times) == pytest.approx(0.02)
+    assert times[0] == pytest.approx(5100.002)
+    for unusable in ([0.0, 0.0, 0.0], [1.0, 0.0, 3.0], [1.0, 2.0, 4.2]):
+        assert times_s([11.0, 12.0, 13.0], unusable).tolist() == [11.0, 12.0, 13.0], unusable
+
+
+def test_joints_are_found_by_name_in_any_order_and_increasing_times() -> None:
+    rows = [
+        JointSample(3.0, 0.0, ("gripper", "shoulder_pan"), (0.5, 0.3)),
+        JointSample(1.0, 0.0, JOINTS, (0.1, 0.5)),
+        JointSample(1.0, 0.0, JOINTS, (0.7, 0.5)),
+        JointSample(2.0, 0.0, ("shoulder_pan",), (0.2,)),
+        JointSample(2.5, 0.0, JOINTS, (float("nan"), 0.5)),
+    ]
+    times, positions = series(rows, JOINTS)
+    assert times.tolist() == [1.0, 3.0]
+    assert positions.tolist() == [[0.1, 0.5], [0.3, 0.5]]
+
+
+def test_statistics_of_images_are_those_of_their_pixels_in_all_frames() -> None:
+    images = np.random.default_rng(1).integers(0, 256, size=(2, 20, 30, 3), dtype=np.uint8)
+    statistics = ImageStatistics()
+    statistics.add(images[0], 3)
+    other = ImageStatistics()
+    other.add(images[1])
+    statistics.merge(other)
+    told = statistics.result()
+    pixels = np.concatenate([images[:1]] * 3 + [images[1:]]).reshape(-1, 3) / 255.0
+    assert told["count"] == [4]
+    assert np.shape(told["mean"]) == (3, 1, 1)
+    for name in ("min", "max", "mean", "std"):
+        assert np.ravel(told[name]) == pytest.approx(getattr(pixels, name)(axis=0))
+    for name, share in QUANTILES.items():
+        assert np.ravel(told[name]) == pytest.approx(np.quantile(pixels, share, axis=0), abs=1 / 255)

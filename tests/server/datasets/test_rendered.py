@@ -1,4 +1,4 @@
-"""Messages of rendered cameras."""
+"""Rendered cameras."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from robot.description.camera import Camera
 from robot.physics.bodies import Body, BodyShape
 from server.datasets.rendered import LoadCameras, PublishedCamera, RenderedCameras, SeenScene
-from server.datasets.rendering_process import serve
+from server.datasets.rendering_process import serve as serve_images
 from tests.helpers.rendering import needs_egl, red_pixels
 from tests.helpers.robots import so101
 from tests.server.datasets.test_camera import opened
@@ -100,5 +100,5 @@ def test_the_process_reports_why_it_cannot_render() -> None:
     reason = "camera '/front/image/compressed' is on the link 'hand', which the arm does not have"
     for first, reasons in ((LoadCameras(so101(), [nowhere]), [reason]), (None, [])):
         channel = FakeChannel(first)
-        serve(cast(Any, channel))
+        serve_images(cast(Any, channel))
         assert [each.reason for each in channel.sent] == reasons

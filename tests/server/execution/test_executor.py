@@ -3,7 +3,6 @@ import gc
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 import numpy as np
@@ -29,7 +28,6 @@ from robot.messages import ArmState, Mode, MotionEnded, Outcome, Pace, PlaybackD
 from robot.trajectory import Trajectory
 from server.execution import executor as execution
 from server.execution.executor import CODE_OF_OUTCOME, MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
-from server.execution.failures import FailedGoals
 from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.monitors import CurrentScene, CurrentState
 from server.execution.motions import (
@@ -261,6 +259,7 @@ async def test_a_goal_is_planned_again_when_the_arm_was_moved_meanwhile(stage: S
     stage.meanwhile = lambda: stage.arm.put(shoulder_pan=0.3)
     await stage.begin(to(shoulder_pan=0.4))
     await stage.arrive()
+    assert [problem.start_rad["shoulder_pan"] for problem in stage.problems] == [0.0, 0.3]
     assert stage.arm.played[0].positions_rad[0, 0] == 0.3
 
 
@@ -285,18 +284,6 @@ async def test_an_external_trajectory_is_checked_and_played_from_where_the_arm_h
     assert stage.arm.played[0].positions_rad[0, 0] == 0.02
     assert stage.rechecked[0].trajectory is stage.arm.played[0]
     assert set(stage.rechecked[0].others_rad) == {"gripper"}
-
-
-async def test_only_a_goal_that_could_not_be_planned_is_saved(stage: Stage, tmp_path: Path) -> None:
-    stage.executor = stage.executing(failed_goals=FailedGoals(tmp_path / "failed", so101(), lambda: 0.0, 1))
-    stage.failures = [NO_WAY]
-    for _ in range(2):
-        await stage.begin(to(shoulder_pan=0.4))
-        await until(lambda: stage.running.done() or stage.arm.played)
-        stage.arm.end()
-        await stage.answer()
-    names = [path.name for path in (tmp_path / "failed").glob("*.json")]
-    assert names == ["goal-19700101T000000.000000Z-PLANNING_FAILED.json"]
 
 
 # The motion that is played
@@ -399,6 +386,9 @@ async def test_a_motion_that_gets_nowhere_is_braked_and_names_the_joint_that_lag
     assert answer.code is MoveItErrorCode.TIMED_OUT
     assert answer.message.startswith("the arm did not end the motion; joint ")
     assert "is 0.000 rad behind; stopped half-way" in answer.message
+    stage.arm.state = replace(stage.arm.state, position_rad=None)
+    answer = await stage.executor.run(Goal("2", goal.request, deadline=WornDeadline()))
+    assert "; its joint positions are unknown; " in answer.message
 
 
 LOOKS_S = 10.0 * execution.PROGRESS_PERIOD_S
@@ -475,28 +465,34 @@ async def test_a_motion_is_left_to_no_other_before_the_arm_shows_that_it_has_beg
     assert (await stage.answer()).message == "preempted by a test"
 
 
-async def test_who_ends_the_task_of_a_cancelled_goal_ends_it(stage: Stage) -> None:
+async def test_a_motion_that_the_arm_does_not_show_is_left_by_the_time_since_it_was_sent(stage: Stage) -> None:
     await stage.begin(to(shoulder_pan=0.4))
-    waiting = asyncio.create_task(stage.goal.unless_cancelled(asyncio.Event().wait()))
-    await settle()
-    stage.goal.cancel("a test")
-    waiting.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await waiting
+    for position_rad in (-0.2, 0.1):
+        stage.arm.state = replace(stage.arm.state, mode=Mode.HOLDING)
+        stage.pass_time(0.2)
+        stage.goal.cancel("preempted by a test", replaced=True)
+        await stage.answer()
+        await stage.begin(to(shoulder_pan=position_rad))
+    # Each lead begins 0.1 s before; the second motion is as long under way as its own lead and the pause together.
+    assert stage.arm.continued == pytest.approx([0.2 - STATE_AGE_S, STATE_AGE_S + 0.2 - STATE_AGE_S])
 
 
-async def test_a_cancelled_goal_ends_its_work_and_not_its_task(stage: Stage) -> None:
-    await stage.begin(to(shoulder_pan=0.4))
+@pytest.mark.parametrize("task_ends", [False, True])
+async def test_a_cancelled_goal_ends_its_work_and_its_task_only_where_that_is_cancelled_too(*, task_ends: bool) -> None:
+    goal = Goal("1", GoalRequest("/goal"))
 
     async def wait() -> tuple[object, int]:
-        found = await stage.goal.unless_cancelled(asyncio.Event().wait())
+        found = await goal.unless_cancelled(asyncio.Event().wait())
         await asyncio.sleep(0.0)
         return found, cast("asyncio.Task[Any]", asyncio.current_task()).cancelling()
 
     waiting = asyncio.create_task(wait())
     await settle()
-    stage.goal.cancel("a test")
-    assert await waiting == (None, 0)
+    goal.cancel("a test")
+    if task_ends:
+        waiting.cancel()
+    await asyncio.wait([waiting])
+    assert waiting.cancelled() if task_ends else waiting.result() == (None, 0)
 
 
 @pytest.mark.stepped_time
@@ -505,10 +501,15 @@ async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) 
     await until(lambda: stage.arm.stops)
 
 
-async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop(stage: Stage) -> None:
+@pytest.mark.parametrize("changed", [False, True])
+async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop_and_is_checked_after_a_change(
+    stage: Stage, *, changed: bool
+) -> None:
     await under_way(stage)
+    stage.scene = Scene(1 + changed)
     await stage.begin(to(shoulder_pan=-0.2))
     answer = await stage.arrive()
+    assert stage.checked_in == [2] * changed
     assert stage.arm.stops == []
     former, whole = stage.arm.played
     from_s = stage.arm.continued[0]
@@ -558,11 +559,14 @@ class Given:
 @pytest.mark.parametrize("spliced", [True, False])
 async def test_a_given_trajectory_replaces_the_motion_unless_it_begins_at_rest(stage: Stage, *, spliced: bool) -> None:
     await under_way(stage)
-    await stage.begin(ExternalTrajectory(Given(), frozenset(ARM), spliced=spliced))
+    trajectory, asked_s = Given(), stage.clock()
+    await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM), spliced=spliced))
     await until(lambda: len(stage.arm.played) == 2)
     await stage.arrive()
     assert (stage.arm.stops == []) is spliced
     assert len(stage.arm.continued) == int(spliced)
+    # Nothing is known yet of how long a check takes.
+    assert trajectory.begins_s == pytest.approx([asked_s + 0.1305 * spliced])
     assert len(stage.rechecked) == 1
 
 
@@ -603,15 +607,15 @@ class Checked(Given):
 async def test_a_given_trajectory_whose_check_was_late_takes_over_just_behind_the_tick_that_it_missed(
     stage: Stage,
 ) -> None:
-    await under_way(stage)
+    await stage.begin(to(shoulder_pan=0.4))
     for trajectory in (*(Checked(stage, 0.004) for _ in range(5)), Checked(stage, 0.008, 0.004)):
-        tick_s, outgoing, stage.news = stage.clock() - 0.003, cast("Any", stage.executor._outgoing), []
-        outgoing.path_time = PathTime(tick_s, 0.2, 1.0, at_tick=True)
-        await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM)))
-        await until(lambda: any(each.state is GoalState.EXECUTING for each in stage.news))
+        tick_s, stage.news = stage.clock() - 0.003, []
         stage.arm.show(0.2)
+        stage.arm.state = replace(stage.arm.state, tick_s=tick_s)
         stage.goal.cancel("preempted by a test", replaced=True)
         await stage.answer()
+        await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM)))
+        await until(lambda: any(each.state is GoalState.EXECUTING for each in stage.news))
     assert [each - tick_s for each in trajectory.begins_s] == pytest.approx([TICK_LATE_S, PERIOD_S + TICK_LATE_S])
     assert stage.arm.stops == []
 
@@ -761,6 +765,7 @@ async def test_the_monitor_asks_about_motions_beside_as_well(stage: Stage) -> No
     stage.meeting = MIGHT_TOUCH
     await stage.change(2)
     assert (await stage.answer()).message.startswith("the finger may touch the arm")
+    assert stage.rechecked[0].others_rad == {"gripper": 0.7}
 
 
 async def test_a_motion_of_a_preempted_goal_of_another_group_is_braked_first(stage: Stage) -> None:

@@ -1,55 +1,19 @@
 import asyncio
-import itertools
-from pathlib import Path
 
 import pytest
 
-from planners.files import problem_file
 from planners.goals import JointGoal
 from planners.problem import CartesianProblem, Line, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import Box, Pose, Scene, SceneObject
 from server.execution import failures
-from server.execution.failures import FailedGoals, with_nearest_goal
+from server.execution.failures import with_nearest_goal
 from tests.helpers.fake_arm import HOME
-from tests.helpers.motions import EASY
 from tests.helpers.moveit import DirectPool
-from tests.helpers.robots import so101
 
 FAILURE = PlanningFailure(MoveItErrorCode.GOAL_IN_COLLISION, "the goal touches the box")
-KEPT, TIP = 5, "gripper_frame_link"
+TIP = "gripper_frame_link"
 # A wall beside the arm, which reaches over it in its home position.
 WALL = Scene(version=31, objects=(SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Pose()),), Pose((0.3, 0.25, 0.3))),))
-
-
-@pytest.fixture
-def failed_goals(tmp_path: Path) -> FailedGoals:
-    return FailedGoals(tmp_path / "failed", so101(), itertools.count(1_800_000_000).__next__, KEPT)
-
-
-async def test_a_saved_goal_is_read_as_it_was_written(failed_goals: FailedGoals, tmp_path: Path) -> None:
-    await failed_goals.save(EASY, WALL, FAILURE)
-    (path,) = (tmp_path / "failed").glob("*.json")
-    assert path.name == "goal-20270115T080000.000000Z-GOAL_IN_COLLISION.json"
-    saved = problem_file.read(path, so101())
-    assert saved.problems[0].problem.goal == EASY.goal
-    assert saved.scene.objects == WALL.objects
-
-
-async def test_the_newest_files_are_kept(failed_goals: FailedGoals, tmp_path: Path) -> None:
-    (tmp_path / "failed").mkdir()
-    (tmp_path / "failed" / "notes.json").write_text("of the user")
-    for _ in range(KEPT + 3):
-        await failed_goals.save(EASY, Scene(), FAILURE)
-    left = sorted(path.name for path in (tmp_path / "failed").glob("*.json"))
-    assert len(left) == KEPT + 1
-    assert left[0].startswith("goal-20270115T080003")
-    assert left[-1] == "notes.json"
-
-
-async def test_an_unwritable_directory_is_only_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    (tmp_path / "file").write_text("")
-    await FailedGoals(tmp_path / "file", so101(), lambda: 0.0, KEPT).save(EASY, Scene(), FAILURE)
-    assert "is not saved" in caplog.text
 
 
 async def test_a_path_of_the_tip_gets_the_end_that_is_reached_and_says_if_its_own_end_is_by_another_way() -> None:
@@ -62,6 +26,8 @@ async def test_a_path_of_the_tip_gets_the_end_that_is_reached_and_says_if_its_ow
     assert 0.0 < details["free_fraction"] < 1.0
     assert details["end_by_other_way"] is False
     assert "what would work: the same path to (" in failure.message
+    cm = 100.0 * details["length_m"]
+    assert f" m, {details['free_fraction'] * cm:.1f} of {cm:.1f} cm" in failure.message
     assert "by a motion that does not follow it" not in failure.message
     end = Pose(tuple(details["free_m"]), tuple(details["free_orientation"]))
     part = await pool.ask(CartesianProblem("arm", HOME, TIP, (Line(end),)), WALL)
@@ -89,13 +55,16 @@ async def test_a_goal_to_which_no_motion_was_found_gets_the_nearest_that_one_rea
     assert isinstance(await DirectPool().ask(nearest, WALL), Plan)
 
 
-async def test_a_goal_that_is_not_beyond_limits_is_not_asked_about_for_its_constraints() -> None:
+@pytest.mark.parametrize(("position_rad", "asked"), [(-1.0, False), (1.0, False), (-1.001, True), (1.001, True)])
+async def test_a_goal_is_asked_about_where_it_is_beyond_limits_and_not_for_its_constraints(
+    position_rad: float, asked: bool
+) -> None:
     details = {"joint": "shoulder_pan", "lower_rad": -1.0, "upper_rad": 1.0}
     failure = PlanningFailure(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, "the range of the constraint", details)
     pool = DirectPool()
-    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": 0.5}))
-    assert await with_nearest_goal(failure, problem, WALL, pool) is failure  # type: ignore[arg-type]
-    assert pool.requests == []
+    problem = PlanningProblem("arm", HOME, JointGoal({"shoulder_pan": position_rad}))
+    answer = await with_nearest_goal(failure, problem, Scene(), pool)  # type: ignore[arg-type]
+    assert (len(pool.requests), answer is failure) == (asked, not asked)
 
 
 async def test_a_failure_does_not_wait_for_planners_that_are_busy(monkeypatch: pytest.MonkeyPatch) -> None:

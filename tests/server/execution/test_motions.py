@@ -108,6 +108,7 @@ def test_the_lead_begins_before_the_state_of_a_faster_clock_and_ends_with_the_mo
 
 
 @given(st.lists(NEAR, min_size=len(JOINTS), max_size=len(JOINTS)))
+@example([motions.START_TOLERANCE_RAD] * len(JOINTS))
 def test_a_motion_from_nearby_is_led_in_within_the_limits(held: list[float]) -> None:
     whole = motions.with_lead_in(GIVEN, dict(zip(JOINTS, held, strict=True)), ROBOT)
     assert not refusal(whole, JOINTS, BOUNDS, np.array(held))
@@ -127,9 +128,9 @@ def test_a_motion_from_far_away_is_refused_with_joint_and_numbers(away_rad: floa
 
 
 def test_a_deviation_is_described_in_millimetres_and_degrees() -> None:
-    note = motions.deviation_note(Deviation(position_m=0.0042, orientation_rad=0.5))
-    assert "4.2 mm" in note
-    assert "28.6 degrees" in note
+    note = motions.deviation_note(Deviation(position_m=0.6, orientation_rad=0.5))
+    assert note == "the position is 600.0 mm off and the orientation is 28.6 degrees off, the nearest there is"
+    assert motions.deviation_note(Deviation(position_m=0.001, orientation_rad=0.01)) == ""
 
 
 @pytest.mark.parametrize(("arrives_s", "leaves_s"), [(5.0295, 5.023), (5.0145, 5.013), (5.0104, 5.0104)])

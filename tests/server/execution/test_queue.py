@@ -59,6 +59,7 @@ class Desk(GoalListener):
         self.stopped: list[Any] = []
         self.states: list[tuple[str, GoalState]] = []
         self.answers: list[tuple[str, Answer]] = []
+        self.replaced: list[bool] = []
         self.queue = GoalQueue(self, policy, 3)
         self.queue.listeners.append(self)
         self.queue.start()
@@ -68,6 +69,7 @@ class Desk(GoalListener):
 
     def on_answer(self, goal: Goal, answer: Answer) -> None:
         self.answers.append((goal.goal_id, answer))
+        self.replaced.append(goal.replaced)
 
     def last_stop(self, _joints: frozenset[str]) -> int:
         return 0
@@ -116,7 +118,7 @@ async def desk() -> AsyncIterator[Desk]:
     await made.close()
 
 
-async def test_an_ended_goal_is_freed_without_the_garbage_collector(desk: Desk) -> None:
+async def test_a_rejected_goal_is_answered_and_freed_without_the_garbage_collector(desk: Desk) -> None:
     gc.disable()
     try:
         failure = PlanningFailure(MoveItErrorCode.FAILURE, "refused")
@@ -124,6 +126,7 @@ async def test_an_ended_goal_is_freed_without_the_garbage_collector(desk: Desk) 
         assert ended() is None
     finally:
         gc.enable()
+    assert desk.codes == [("1", MoveItErrorCode.FAILURE)]
 
 
 async def test_the_active_goal_is_told_with_its_client_its_time_left_and_those_behind_it(desk: Desk) -> None:
@@ -178,6 +181,7 @@ async def test_closing_answers_a_goal_that_does_not_end_even_if_closing_is_cut_s
         closing.cancel()
     await asyncio.wait([closing])
     await settle()
+    assert not [task for task in asyncio.all_tasks() if task.get_name() == "goal 1"]
     assert desk.codes == [("1", MoveItErrorCode.PREEMPTED)]
     assert cut_short or "did not come to rest in time" in desk.answers[0][1].message
 
@@ -188,6 +192,7 @@ async def test_closing_waits_no_longer_than_until_the_active_goal_has_ended() ->
     await desk.submit(LEFT)
     closing = asyncio.create_task(desk.queue.close(60.0))
     await asyncio.sleep(1.0)
+    assert not closing.done()
     await desk.finish(LEFT)
     await closing
     assert asyncio.get_running_loop().time() < 2.0
@@ -214,8 +219,9 @@ COURSES: list[tuple[GoalPolicy, list[Act], dict[str, MoveItErrorCode], list[str]
         "preempted by goal 5",
     ),
     # A goal is cancelled while it is active or waits; so are all of some joints, or all, and what comes later is not.
-    (QUEUE, [submit(LEFT, LEFT), end("cancel", "1", "enough")], {"1": ENDED}, [LEFT, LEFT], "enough"),
+    (QUEUE, [submit(LEFT, RIGHT, LEFT), end("cancel", "1", "enough")], {"1": ENDED}, [LEFT, LEFT, RIGHT], "enough"),
     (QUEUE, [submit(LEFT, LEFT), end("cancel", "2", "enough")], {"2": ENDED}, [LEFT], "enough"),
+    (QUEUE, [submit(LEFT, LEFT), end("cancel", "2", ""), finish(LEFT)], {"1": DONE, "2": ENDED}, [LEFT], ""),
     (
         QUEUE,
         [submit(LEFT, RIGHT, LEFT), end("cancel_all", "enough", [LEFT])],
@@ -230,7 +236,13 @@ COURSES: list[tuple[GoalPolicy, list[Act], dict[str, MoveItErrorCode], list[str]
         [LEFT, LEFT, RIGHT],
         "stopped",
     ),
-    (QUEUE, [submit(LEFT, LEFT), Desk.close], {"1": ENDED, "2": ENDED}, [LEFT], "the server is shutting down"),
+    (
+        QUEUE,
+        [submit(LEFT, LEFT), Desk.close, submit(RIGHT)],
+        {"1": ENDED, "2": ENDED},
+        [LEFT],
+        "the server is shutting down",
+    ),
     # A goal of both arms waits for each, begins after them, and is not overtaken.
     (QUEUE, [submit(LEFT, RIGHT, BOTH), finish(LEFT)], {"1": DONE}, [LEFT, RIGHT], ""),
     (QUEUE, [submit(LEFT, RIGHT, BOTH), finish(LEFT, RIGHT)], {"1": DONE, "2": DONE}, [LEFT, BOTH, RIGHT], ""),
@@ -249,5 +261,6 @@ async def test_goals_take_their_course(
     assert len(desk.answers) == len(codes)
     assert desk.asked == begun
     assert all(words in answer.message for _, answer in desk.answers)
+    assert desk.replaced == ["preempted" in words] * len(codes)
     assert desk.stopped == [None] * ("stopped" in words or "shutting" in words)
     assert desk.states[0] == ("1", GoalState.QUEUED)

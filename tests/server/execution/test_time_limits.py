@@ -26,13 +26,15 @@ def test_a_motion_that_takes_too_long_is_refused_with_field_limit_and_value(dura
     )
 
 
-def test_the_way_back_is_credited() -> None:
+def test_a_slow_motion_has_longer_and_the_way_back_is_credited() -> None:
     deadline = ExecutionDeadline(LIMITS)
     deadline.begin(DURATION_S)
-    deadline.pass_time(ALLOWED_S, Pace())
-    deadline.pass_time(2.0, Pace(1.0, PlaybackDirection.BACK))
+    deadline.pass_time(2.0 * ALLOWED_S, Pace(0.5))
+    deadline.pass_time(4.0, Pace(0.5, PlaybackDirection.BACK))
     deadline.pass_time(1.9, Pace())
     assert deadline.exceeded is None
+    deadline.pass_time(0.2, Pace())
+    assert deadline.exceeded == "the arm did not end the motion within 13.0 s"
 
 
 @pytest.mark.parametrize(

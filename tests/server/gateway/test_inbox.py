@@ -21,6 +21,7 @@ from server.arrival import arrival_epoch
 from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, STOP_TURN_S, Inbox, Waiting
 from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, Turns
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
+from server.graph.permissions import CANCELLING, STOPPING
 from tests.helpers.clock import FakeClock
 from tests.helpers.gateway import UnreadSocket
 from tests.helpers.messages import REGISTRY
@@ -85,7 +86,12 @@ class Handler:
         self.socket = UnreadSocket()
         context = SimpleNamespace(
             session=self.session,
-            graph=SimpleNamespace(message_types=TYPES),
+            graph=SimpleNamespace(
+                message_types=TYPES,
+                rules={"/stop": STOPPING, "/cancel": CANCELLING},
+                services=SimpleNamespace(rules={}),
+                actions=SimpleNamespace(rules={}),
+            ),
             gateway=SimpleNamespace(turns=world.turns),
             transport=self.socket,
             clock=world.clock,
@@ -113,12 +119,6 @@ class Handler:
         self._note(item, "no " if overtaken else "")
         if isinstance(item, Auth):
             self.identified = True
-
-    def is_urgent(self, operation: Operation) -> bool:
-        return isinstance(operation, Publish) and operation.topic in ("/stop", "/cancel")
-
-    def is_repeated(self, operation: Operation) -> bool:
-        return isinstance(operation, Publish) and operation.topic == "/cancel"
 
     def repeat(self, operation: Operation) -> None:
         self._note(operation, "again ")

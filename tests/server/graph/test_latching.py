@@ -88,6 +88,5 @@ class TestRoom:
         kept.unlatch_at("/a", 11.0)
         for topic in ("/a", "/b"):
             kept.forget(topic)
-        assert kept._of_clients.size_bytes == 0
-        assert not kept._of_clients.ending
-        assert not kept._by_client
+        assert not kept._ending
+        assert not kept._sizes

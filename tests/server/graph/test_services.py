@@ -45,18 +45,31 @@ def ask(services: Services, **options: Any) -> list[Response]:
 # Services of local parts
 
 
-async def test_an_awaited_service_error_is_a_failure(services: Services) -> None:
+REFUSED = Response(ok=True, values={"success": False, "message": "no power"})
+
+
+@pytest.mark.parametrize(
+    ("type_name", "refusal"), [(SET_BOOL, REFUSED), ("std_srvs/Empty", Response(ok=False, values="no power"))]
+)
+async def test_a_refusal_is_in_the_response_where_that_has_its_fields_else_a_failure(
+    services: Services, type_name: str, refusal: Response
+) -> None:
     async def switch(_request: dict[str, Any]) -> dict[str, Any]:
         await asyncio.sleep(0)
         raise ServiceError("no power")
 
-    services.offer(SERVER, "/switch", SET_BOOL, switch)
+    services.offer(SERVER, "/switch", type_name, switch)
     responses = ask(services)
     await settle()
-    assert responses == [Response(ok=False, values="no power")]
+    assert responses == [refusal]
 
 
-@pytest.mark.parametrize("answer", [{"success": "yes"}, {"foo": 1}, "text", None])
+def test_a_sentence_is_the_message_of_a_success(services: Services) -> None:
+    services.offer(SERVER, "/switch", SET_BOOL, lambda _: "on")
+    assert ask(services) == [Response(ok=True, values=ON)]
+
+
+@pytest.mark.parametrize("answer", [{"success": "yes"}, {"foo": 1}, None])
 def test_a_bug_fails_the_call_and_is_logged(services: Services, answer: Any, caplog: pytest.LogCaptureFixture) -> None:
     services.offer(SERVER, "/switch", SET_BOOL, lambda _: answer or 1 / 0)
     (response,) = ask(services)

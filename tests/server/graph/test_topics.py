@@ -203,7 +203,7 @@ def test_a_message_whose_time_is_over_is_given_up(graph: Graph, clock: FakeClock
     graph.unadvertise(TALKER, "/t")
     clock.now_s += UNREGISTER_TIMEOUT_S * 1.1
     graph.advertise(TALKER, "/another", "std_msgs/String")
-    assert graph._latched_messages._of_server.size_bytes == 0
+    assert not graph._latched_messages._sizes
 
 
 def test_a_watcher_gets_the_messages_of_every_topic_before_their_subscribers(graph: Graph) -> None:

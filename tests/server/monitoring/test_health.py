@@ -1,13 +1,26 @@
+"""Health, the report and systemd."""
+
 import dataclasses
+import io
 import json
+import logging
+import os
+import socket
+import zipfile
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from robot.faults import FaultCode
 from robot.messages import Mode
+from server.config import Settings
+from server.monitoring import report as report_module
 from server.monitoring.health import ARM_SILENT_S, ARM_STALE_S, Sources, check_health
+from server.monitoring.report import PROBLEMS, README, Redactor, Report, add_faults, add_machine, add_settings
+from server.monitoring.systemd import SystemdNotifier
 from tests.server.monitoring import watched_parts
 from tests.server.monitoring.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
 
@@ -85,3 +98,187 @@ def test_children_are_those_that_run() -> None:
     for pids, arms in (((11,), {"arm": 11}), ((), {}), ((11, 12), {"arm_1": 11, "arm_2": 12})):
         sources = Sources(arm=WatchedArm(arm_state(), pids=pids), planners=WatchedPlanners(pids=(21, 22)))
         assert sources.children() == {**arms, "planner_1": 21, "planner_2": 22}
+
+
+TOKEN = "one-0123456789abcdef"
+LONGER = f"{TOKEN}-and-more"
+QUOTED = 'quoted"and\\0123456789'
+HOME = Path("/srv/people/ada")
+
+
+@pytest.fixture
+def report() -> Report:
+    return Report(Redactor([TOKEN], HOME))
+
+
+def members(report: Report) -> dict[str, str]:
+    with zipfile.ZipFile(io.BytesIO(report.archive())) as archive:
+        return {name: archive.read(name).decode() for name in archive.namelist()}
+
+
+SECRETS = {
+    f"it was {TOKEN}!": "it was ***!",
+    # One that another one begins with, one that JSON escapes, and one of somebody else in an address.
+    LONGER: "***",
+    json.dumps({"x": QUOTED}): '{"x": "***"}',
+    "GET /?token=other-secret&x=1": "GET /?token=***&x=1",
+    "Authorization: Bearer abc.def": "Authorization: *** ***",
+    '{"password": "hunter2", "x": 1}': '{"password": "***", "x": 1}',
+    "socket://ada:hunter2@host:4000": "socket://***@host:4000",
+    "tls/host:7447#connect_private_key_base64=AAAA;x=1": "tls/host:7447#connect_private_key_base64=***;x=1",
+    "-----BEGIN RSA PRIVATE KEY-----\nAAAA\n-----END RSA PRIVATE KEY-----\n": "***\n",
+    # The home directory, a folder whose name begins alike, and homes of others.
+    "/srv/people/ada/arm.json": "~/arm.json",
+    "/srv/people/ada2/arm.json": "/srv/people/ada2/arm.json",
+    "/home/grace/arm.json and /home/grace": "/home/***/arm.json and /home/***",
+}
+
+
+def test_secrets_are_blotted_out() -> None:
+    redactor = Redactor([TOKEN, LONGER, QUOTED], HOME)
+    assert {text: redactor.text(text) for text in SECRETS} == SECRETS
+
+
+def test_every_member_is_without_secrets_and_listed(report: Report, tmp_path: Path) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(f"# {TOKEN}")
+    report.add("server/log.txt", TOKEN)
+    report.add_json("settings.json", {"x": [TOKEN]})
+    report.add_file("arm/robot.toml", file)
+    report.note(TOKEN)
+    told = members(report)
+    assert set(told) == {"server/log.txt", "settings.json", "arm/robot.toml", PROBLEMS, README}
+    assert TOKEN not in "".join(told.values())
+    listed = [line.partition(":")[0] for line in told[README].splitlines()[2:] if line]
+    assert listed == ["settings.json", "arm/", "server/", PROBLEMS]
+
+
+def test_settings_have_neither_tokens_nor_the_names_of_their_owners(report: Report) -> None:
+    values: dict[str, Any] = {"access": {"token": TOKEN, "view_tokens": {"grace": "two-0123456789abcdef"}}}
+    add_settings(report, Settings(**values), {"access.token": "file"})
+    told = members(report)["settings.json"]
+    assert "0123456789abcdef" not in told
+    assert "grace" not in told
+    assert json.loads(told)["settings"]["access"]["view_tokens"] == 1
+    assert json.loads(told)["sources"] == {"access.token": "file"}
+
+
+def test_what_fails_is_noted_and_the_rest_is_there(report: Report) -> None:
+    with report.part("bus"):
+        raise LookupError
+    with report.part("arm"):
+        report.add("arm/robot.toml", "name = 'x'")
+    told = members(report)
+    assert told[PROBLEMS] == "bus: LookupError\n"
+    assert "arm/robot.toml" in told
+
+
+def test_the_machine_is_told_by_versions_packages_and_ports(report: Report) -> None:
+    add_machine(report)
+    told = members(report)
+    assert PROBLEMS not in told
+    versions = json.loads(told["versions.json"])
+    assert versions["armbridge"]
+    assert versions["system"]
+    assert "numpy==" in told["packages.txt"]
+    assert isinstance(json.loads(told["ports.json"]), list)
+
+
+def test_the_newest_fault_files_are_included(report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(report_module, "MAX_FAULT_FILES", 2)
+    (tmp_path / "other.jsonl").write_text("somebody else's")
+    for number in range(4):
+        (tmp_path / f"fault-{number}.jsonl").write_text("x" * 100)
+    add_faults(report, tmp_path)
+    told = members(report)
+    assert [name for name in told if name.startswith("faults/")] == ["faults/fault-3.jsonl", "faults/fault-2.jsonl"]
+    add_faults(none := Report(Redactor([], HOME)), tmp_path / "none")
+    assert set(members(none)) == {README}
+
+
+class Systemd:
+    """The socket of systemd, which hears what services say."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind("\0" + address[1:] if address.startswith("@") else address)
+        self.socket.settimeout(30.0)
+
+    def heard(self) -> list[str]:
+        return self.socket.recv(4096).decode().splitlines()
+
+
+@pytest.fixture
+def notifier(systemd: Systemd) -> Iterator[SystemdNotifier]:
+    made = SystemdNotifier(systemd.address)
+    yield made
+    made.close()
+
+
+@pytest.fixture(params=["path", "abstract"])
+def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Systemd]:
+    found = Systemd(str(tmp_path / "notify") if request.param == "path" else f"@armbridge-test-{os.getpid()}")
+    with found.socket:
+        yield found
+
+
+def test_systemd_gets_notifications_in_its_format(systemd: Systemd, notifier: SystemdNotifier) -> None:
+    # A status cannot smuggle in another assignment.
+    notifier.notify_status("starting\nREADY=1")
+    notifier.notify_ready("ready")
+    notifier.notify_watchdog()
+    notifier.notify_stopping()
+    assert [systemd.heard() for _ in range(4)] == [
+        ["STATUS=starting READY=1"],
+        ["READY=1", "STATUS=ready"],
+        ["WATCHDOG=1"],
+        ["STOPPING=1", "STATUS=stopping"],
+    ]
+
+
+def test_one_that_does_not_read_holds_nobody_up(notifier: SystemdNotifier) -> None:
+    for _ in range(5000):
+        notifier.notify_watchdog()
+        notifier.notify_status("there is news")
+    notifier.close()
+    notifier.notify_watchdog()
+
+
+def test_without_one_nothing_is_told() -> None:
+    notifier = SystemdNotifier.from_environment({}, 7)
+    notifier.notify_ready("ready")
+    assert notifier.watchdog_s == 0.0
+
+
+def test_an_unreachable_notifier_is_logged_and_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
+    notifier = SystemdNotifier(str(tmp_path / "nobody"))
+    notifier.notify_ready("ready")
+    assert "NOTIFY_SOCKET" in caplog.text
+
+
+WATCHED: list[tuple[dict[str, str], float]] = [
+    ({"WATCHDOG_USEC": "2500000", "WATCHDOG_PID": "7"}, 2.5),
+    ({"WATCHDOG_USEC": "2500000"}, 2.5),
+    ({"WATCHDOG_USEC": "2500000", "WATCHDOG_PID": "8"}, 0.0),
+    ({"WATCHDOG_USEC": "often", "WATCHDOG_PID": "7"}, 0.0),
+    ({}, 0.0),
+]
+
+
+def test_the_watchdog_is_for_the_named_process(systemd: Systemd) -> None:
+    for variables, watchdog_s in WATCHED:
+        notifier = SystemdNotifier.from_environment({"NOTIFY_SOCKET": systemd.address, **variables}, 7)
+        assert notifier.watchdog_s == watchdog_s, variables
+        notifier.close()
+
+
+def test_children_do_not_inherit_the_variables(monkeypatch: pytest.MonkeyPatch, systemd: Systemd) -> None:
+    variables = {"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "1", "WATCHDOG_PID": str(os.getpid())}
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    notifier = SystemdNotifier.from_environment()
+    assert not set(variables) & set(os.environ)
+    assert notifier.watchdog_s == pytest.approx(1e-6)
+    notifier.close()

@@ -1,6 +1,8 @@
-"""Samples of leaders: jitter, order, gaps, and jumps."""
+"""Leaders: their values, their client and teleoperation by them."""
 
+import asyncio
 import math
+from collections.abc import AsyncIterator
 from typing import Any
 
 import numpy as np
@@ -8,8 +10,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.publication import PublishedMessage
+from robot import logs
+from robot.messages import ArmState, Mode
+from server import cli
 from server.errors import ServiceError
+from server.graph.permissions import Node
+from server.interfaces import load_registry
+from server.publishing_client import PublishedTopic
+from server.teleop.following import STALE_S
 from server.teleop.leader import JitterBuffer, LeaderPose, LeaderSample, joint_map, mirrored_joints
+from server.teleop.leader_client import IN_FLIGHT, LeaderClient
+from server.teleop.teleoperation import MAX_JOINTS, Leader, read_sample
+from tests.helpers.clock import FakeClock
+from tests.helpers.held_connection import HeldConnection
+from tests.helpers.messages import time_message
 from tests.helpers.robots import so101
 
 # The leader's clock is elsewhere.
@@ -159,3 +174,109 @@ def test_a_target_far_beyond_the_range_is_named_with_a_hint_at_degrees(pan_rad: 
 def test_a_wrong_map_is_refused(leader: list[str], pairs: tuple[list[str], list[str]], scale: float, said: str) -> None:
     with pytest.raises(ServiceError, match=said):
         joint_map(ROBOT, "", leader, scale=scale, pairs=pairs)
+
+
+TOPIC = "/leader/joint_states"
+
+
+def reading(position_rad: float) -> ArmState:
+    at = np.array([position_rad])
+    return ArmState(position_rad, Mode.RELAXED, ("elbow_flex",), position_rad=at, velocity_rad_s=at)
+
+
+class Publishing:
+    """A client that publishes the samples that a test shows, on a connection whose pongs the test gives."""
+
+    def __init__(self) -> None:
+        self.server, self.told = HeldConnection(), list[str]()
+        self.client = LeaderClient(PublishedTopic("ws://nowhere", TOPIC, "secret-of-sixteen"), self.told.append)
+
+    async def show(self, *states: ArmState) -> None:
+        for state in states:
+            self.client.take_state(state)
+            for _ in range(5):
+                await asyncio.sleep(0)
+
+    @property
+    def positions(self) -> list[float]:
+        return [message["position"][0] for message in self.server.messages]
+
+
+@pytest.fixture
+async def publishing() -> AsyncIterator[Publishing]:
+    made = Publishing()
+    await made.client.announce(made.server)
+    task = asyncio.create_task(made.client.publish(made.server))
+    yield made
+    task.cancel()
+    await asyncio.wait([task])
+
+
+async def test_it_shows_its_token_and_advertises_before_the_first_sample(publishing: Publishing) -> None:
+    await publishing.show(*2 * [ArmState(1.0, Mode.DISCONNECTED, ("elbow_flex",), reason="unplugged")])
+    assert (publishing.positions, publishing.told) == ([], ["the arm: unplugged"]), "of an arm that is not read"
+    await publishing.show(reading(0.5))
+    assert [each["op"] for each in publishing.server.sent] == ["auth", "advertise", "publish"]
+    assert publishing.server.sent[-1]["msg"]["name"] == ["elbow_flex"]
+    assert publishing.server.sent[-1]["msg"]["header"]["stamp"] == {"sec": 0, "nanosec": 500_000_000}
+
+
+async def test_on_a_slow_network_old_samples_are_left_out(publishing: Publishing) -> None:
+    await publishing.show(*(reading(number) for number in range(50)))
+    assert len(publishing.positions) <= IN_FLIGHT + 2
+    publishing.server.pings[0].set_result(0.1)
+    await publishing.show(reading(100.0))
+    # Those that were on their way, at most one that was waited with, and the newest.
+    assert publishing.positions[-1] == 100.0
+    assert len(publishing.positions) <= IN_FLIGHT + 4
+
+
+def test_a_real_leader_needs_a_calibration(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(logs, "configure", lambda *_arguments: None)
+    assert cli.main(["leader", "--serial", "/dev/nothing"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("armbridge: --calibration: without one nobody knows where the joints")
+
+
+REGISTRY = load_registry(())
+
+
+def message(stamp_s: float, **positions_rad: float) -> dict[str, Any]:
+    joints = {"name": list(positions_rad), "position": list(positions_rad.values()), "velocity": [], "effort": []}
+    return {"header": {"stamp": time_message(stamp_s), "frame_id": ""}, **joints}
+
+
+def send(leader: Leader, publisher: Node, msg: dict[str, Any], now_s: float) -> None:
+    published = PublishedMessage("/glove", "sensor_msgs/msg/JointState", msg, REGISTRY, now_s, publisher=publisher)
+    leader.take_message(published)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"position": []}, "name: must have 1 to 32 joints, as many as position has values, 0, not 1"),
+        ({"name": [], "position": []}, "name: must have 1 to 32 joints"),
+        ({"name": ["j"] * (MAX_JOINTS + 1), "position": [0.0] * (MAX_JOINTS + 1)}, "name: must have 1 to 32 joints"),
+        ({"position": [math.nan]}, "position of elbow: must be a finite number, not nan"),
+    ],
+)
+def test_a_message_that_cannot_be_followed_is_refused_with_its_field(change: dict[str, Any], said: str) -> None:
+    with pytest.raises(ServiceError, match=said):
+        read_sample(message(1.0, elbow=0.5) | change, 99.0)
+    clock = FakeClock()
+    leader = Leader("/glove", {}, clock)
+    send(leader, Node("one"), message(1.0, elbow=0.5) | change, clock.now_s)
+    assert leader.joint_names == ()
+
+
+def test_while_one_client_leads_another_is_not_followed_and_takes_over_after_a_silence() -> None:
+    clock, one, other = FakeClock(), Node("one"), Node("other")
+    leader = Leader("/glove", {}, clock)
+    send(leader, one, message(50.0, elbow=0.1), clock.now_s)
+    send(leader, other, message(60.0, elbow=0.9), clock.now_s)
+    first = leader.samples.pose(clock.now_s)
+    clock.advance(STALE_S + 0.01)
+    # Its clock is far behind that of the first.
+    send(leader, other, message(10.0, elbow=0.9), clock.now_s)
+    second = leader.samples.pose(clock.now_s)
+    assert [pose and pose.positions_rad for pose in (first, second)] == [{"elbow": 0.1}, {"elbow": 0.9}]

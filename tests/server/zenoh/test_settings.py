@@ -15,10 +15,6 @@ from tests.test_readme import blocks
 PAGE = ROOT / "docs" / "zenoh.md"
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    **{
-        f"endpoint {endpoint!r}": ({"connect": (endpoint,)}, "must be protocol/address, as in tcp/127.0.0.1:7447")
-        for endpoint in ("192.168.1.2:7447", "tcp", "")
-    },
     **{f"namespace {name}": ({"namespace": name}, "as in /arm1") for name in ("arm1", "/arm1/", "/", "/arm 1", "/*")},
     "client without a router": ({"mode": "client"}, "mode client needs connect"),
 }

@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, expect, test, vi } from "vitest";
-import { backoff_s, Connection, serverUrl, type ConnectionStatus } from "./connection";
+import { askNames, backoff_s, Connection, serverUrl, type ConnectionStatus } from "./connection";
 
 /** Fake of the browser's WebSocket, opened and lost by the test. */
 class FakeSocket {
@@ -104,6 +104,20 @@ test("a call ends when the link is lost, and when its time is up", async () => {
   const late = expect(connection.call("/arm/stop", {}, 1)).rejects.toThrow("no answer within 1 s");
   vi.advanceTimersByTime(1001);
   await late;
+});
+
+test("names that are asked for once come as late as a server answers that lives, and are missing where it does not know the service", async () => {
+  newest().onopen?.();
+  const [names, unknown] = [askNames(connection, "/teach/list"), askNames(connection, "/arm/scenes/list")];
+  const [, call] = newest().ops("call_service").slice(-2);
+  newest().receive({ op: "service_response", id: call?.id, values: "no such service", result: false });
+  for (let seconds = 0; seconds < 60; seconds += 1) {
+    await vi.advanceTimersByTimeAsync(1000);
+    newest().receive({ op: "publish", topic: "/joint_states", msg: {} });
+  }
+  newest().answer("/teach/list", { names: ["wave"] });
+  expect(await names).toEqual(["wave"]);
+  expect(await unknown).toBeNull();
 });
 
 test("a response that has no room for its reason gets it from the status about the same call", async () => {

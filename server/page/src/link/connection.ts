@@ -31,6 +31,9 @@ export function backoff_s(failures: number): number {
 const HEARTBEAT_MS = 2000;
 const SILENT_HEARTBEATS = 2;
 
+/** Time for an answer to what is asked once: while the server lives, which the heartbeats see; else it is asked anew. */
+export const WHILE_CONNECTED_S = Infinity;
+
 export const STATUS_ABORTED = 6;
 
 /** Final status of action_msgs/GoalStatus with the result, or with the reason where the goal was rejected. */
@@ -323,7 +326,7 @@ export async function ask<Response extends Answer>(
 
 /** Return the names that a service lists; null from a server that is gone, or of a version without the service. */
 export async function askNames(connection: Pick<Connection, "call">, service: string): Promise<string[] | null> {
-  return connection.call<{ names: string[] }>(service, {}).then(({ names }) => names, () => null);
+  return connection.call<{ names: string[] }>(service, {}, WHILE_CONNECTED_S).then(({ names }) => names, () => null);
 }
 
 interface Answer {

@@ -1,7 +1,7 @@
 import { fromServer, joinedPlan } from "../logic/goal-history";
 import type { Plan } from "../state/state";
 import type { PageStore } from "../state/store";
-import type { Connection } from "./connection";
+import { WHILE_CONNECTED_S, type Connection } from "./connection";
 import { readGoal, readPlan, type DiagnosticStatus, type RobotTrajectory } from "./messages";
 
 interface GoalRecordResponse {
@@ -22,7 +22,7 @@ export interface GoalRecord extends Omit<GoalRecordResponse, "planned" | "succes
 
 /** Ask the server for the goals that were answered before this page was connected. */
 export async function fetchGoalHistory(connection: Connection, store: PageStore): Promise<void> {
-  const response = await connection.call<{ stamps: number[]; goals: DiagnosticStatus[] }>("/armbridge/goal_history", {});
+  const response = await connection.call<{ stamps: number[]; goals: DiagnosticStatus[] }>("/armbridge/goal_history", {}, WHILE_CONNECTED_S);
   const told = response.goals.map((status, index) => {
     const stamp_s = response.stamps[index] ?? 0;
     return { goal: readGoal(status), began_s: stamp_s, stamp_s };

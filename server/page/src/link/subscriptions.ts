@@ -2,7 +2,7 @@ import { withStatus } from "../logic/goal-history";
 import { isOpen } from "../logic/layout";
 import { NO_GOAL, NO_PLAN, type ActiveGoal, type GoalState, type Identity, type LogEntry, type State } from "../state/state";
 import { selectGroup, setNotice, type PageStore } from "../state/store";
-import type { Connection } from "./connection";
+import { WHILE_CONNECTED_S, type Connection } from "./connection";
 import {
   PREEMPTED,
   readArmHealth,
@@ -77,7 +77,7 @@ export function followCommands(connection: Connection, store: PageStore): void {
   const wanted = ({ link, arm, layout }: State): boolean =>
     link.connected && (arm.mode === "moving" || isOpen(layout, "drive") || isOpen(layout, "plots"));
   const begin = async (): Promise<void> => {
-    const { topics } = await connection.call<{ topics: string[] }>("/rosapi/topics_for_type", { type });
+    const { topics } = await connection.call<{ topics: string[] }>("/rosapi/topics_for_type", { type }, WHILE_CONNECTED_S);
     if (!wanted(store.state) || ends.length > 0) return;
     // Each controller has its state under an old and a new name.
     const new_names = topics.filter((name) => name.endsWith("/controller_state"));
@@ -95,9 +95,8 @@ export function followCommands(connection: Connection, store: PageStore): void {
 /** Forget goals that may have ended while the page was disconnected. */
 export function resetAfterReconnect(store: PageStore): void {
   const in_progress = ["queued", "planning", "executing"].includes(store.state.goal.state);
-  const goal = in_progress ? NO_GOAL : store.state.goal;
   // Another server knows nothing of the plan; the same one sends its last plan again.
-  store.set({ active_goals: [], goal, plan: NO_PLAN });
+  store.set({ active_goals: [], goal: in_progress ? NO_GOAL : store.state.goal, plan: NO_PLAN });
   setNotice(store, "link", "");
 }
 
@@ -147,7 +146,7 @@ export function subscribeControl(connection: Connection, store: PageStore): void
 
 async function fetchIdentity(connection: Connection, store: PageStore): Promise<void> {
   try {
-    const { message } = await connection.call<TriggerResponse>("/arm/who_am_i", {});
+    const { message } = await connection.call<TriggerResponse>("/arm/who_am_i", {}, WHILE_CONNECTED_S);
     const identity = JSON.parse(message) as Identity;
     store.set({ identity });
     setNotice(store, "version", versionMismatch(identity.version, PAGE_VERSION));

@@ -1,14 +1,11 @@
-"""Rendered images of a running server's arm, by the command ``armbridge camera physics``."""
+"""Rendered images of a running server's arm."""
 
 from __future__ import annotations
 
-import asyncio
 import base64
-import contextlib
 import io
 import os
 import signal
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +13,11 @@ import pytest
 from PIL import Image
 
 from harness.clients import arm_client, call
-from harness.server import ROOT, RunningServer
+from harness.server import RunningServer
 from harness.waiting import until
 from robot.description.camera import Camera
-from server import cli
-from server.commands.publish import RENDERED
 from server.datasets.camera import IMAGE_TYPE
 from server.datasets.rendered import DEPTH_TYPE, INFO_TYPE
-from tests.helpers.programs import run
 from tests.helpers.rendering import needs_egl, red_pixels
 
 TOPIC, INFO, DEPTH = "/camera/image/compressed", "/camera/camera_info", "/camera/depth/image"
@@ -32,40 +26,6 @@ RED = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 1.0}
 AT = (0.3, 0.15, 0.02)
 
 ARGUMENTS = "--port 0 --simulation physics"
-
-
-def camera_command(url: str, *options: str) -> list[str]:
-    return [sys.executable, str(ROOT / "armbridge.py"), "camera", RENDERED, "--connect", url, *options]
-
-
-@needs_egl
-async def test_a_red_box_is_where_the_info_of_the_camera_has_it(server: RunningServer) -> None:
-    position = dict(zip("xyz", AT, strict=True))
-    box = {"id": "box", "primitives": [{"type": 1, "dimensions": [0.04] * 3}], "pose": {"position": position}}
-    scene = {"is_diff": True, "world": {"collision_objects": [box]}, "object_colors": [{"id": "box", "color": RED}]}
-    assert call(server.url, "/apply_planning_scene", {"scene": scene})["success"]
-    async with arm_client(server.url) as client:
-        for topic, type_name in ((TOPIC, IMAGE_TYPE), (INFO, INFO_TYPE), (DEPTH, DEPTH_TYPE)):
-            await client.subscribe(topic, type_name)
-        view = ",".join(map(str, VIEW))
-        process = await asyncio.create_subprocess_exec(*camera_command(server.url, "--view", view, "--depth"))
-        try:
-            await client.until(DEPTH, lambda images: len(images) > 1)
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                process.terminate()
-            assert await process.wait() == 0
-        image, info, depth = (client.messages(topic)[0] for topic in (TOPIC, INFO, DEPTH))
-    assert image["header"] == info["header"] == depth["header"]
-    assert image["header"]["stamp"]["sec"] > 0
-    pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(image["data"]))))
-    assert pixels.shape == (240, 320, 3)
-    in_camera_m = np.linalg.inv(Camera(view=VIEW).transform_optical_to_frame) @ (*AT, 1.0)
-    expected = (np.reshape(info["k"], (3, 3)) @ in_camera_m[:3] / in_camera_m[2])[:2]
-    assert red_pixels(pixels).mean(axis=0) == pytest.approx(expected, abs=1.0)
-    depth_mm = np.frombuffer(base64.b64decode(depth["data"]), "<u2").reshape(240, 320)
-    column, row = expected.round().astype(int)
-    assert depth_mm[row, column] == pytest.approx(1000 * in_camera_m[2], abs=30)
 
 
 def process_of_cameras(server: RunningServer) -> int | None:
@@ -110,18 +70,30 @@ async def test_the_arms_own_cameras_are_published_and_come_back_when_their_proce
         assert process_of_cameras(server) == restarted
 
 
-def test_a_machine_without_opengl_gets_one_sentence(server: RunningServer) -> None:
-    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    done = run(*camera_command(server.url), env={**environment, "MUJOCO_GL": "glfw"})
-    assert done.returncode == 1
-    assert "images need OpenGL off screen: EGL (Debian: libegl1), or OSMesa" in done.stderr
-
-
-@pytest.mark.parametrize("view", ["1,2,3", "a,b,c,d,e,f", "1,2,3,4,5,nan"])
-def test_a_view_is_six_numbers(view: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        cli.main(["camera", RENDERED, "--connect", "ws://localhost:1", "--view", view])
-    assert f"must be six numbers with commas, not {view!r}" in capsys.readouterr().err
+@needs_egl
+async def test_a_red_box_is_where_the_info_of_the_camera_has_it(server: RunningServer) -> None:
+    position = dict(zip("xyz", AT, strict=True))
+    box = {"id": "box", "primitives": [{"type": 1, "dimensions": [0.04] * 3}], "pose": {"position": position}}
+    scene = {"is_diff": True, "world": {"collision_objects": [box]}, "object_colors": [{"id": "box", "color": RED}]}
+    assert call(server.url, "/apply_planning_scene", {"scene": scene})["success"]
+    async with arm_client(server.url) as client:
+        assert await client.call("/simulation/set_camera", name="camera", view=list(VIEW), depth=True)
+        for topic, type_name in ((TOPIC, IMAGE_TYPE), (INFO, INFO_TYPE), (DEPTH, DEPTH_TYPE)):
+            await client.subscribe(topic, type_name)
+        depth = (await client.until(DEPTH, bool))[0]
+        image, info = (
+            next(each for each in client.messages(topic) if each["header"] == depth["header"])
+            for topic in (TOPIC, INFO)
+        )
+    assert image["header"]["stamp"]["sec"] > 0
+    pixels = np.asarray(Image.open(io.BytesIO(base64.b64decode(image["data"]))))
+    assert pixels.shape == (240, 320, 3)
+    in_camera_m = np.linalg.inv(Camera(view=VIEW).transform_optical_to_frame) @ (*AT, 1.0)
+    expected = (np.reshape(info["k"], (3, 3)) @ in_camera_m[:3] / in_camera_m[2])[:2]
+    assert red_pixels(pixels).mean(axis=0) == pytest.approx(expected, abs=1.0)
+    depth_mm = np.frombuffer(base64.b64decode(depth["data"]), "<u2").reshape(240, 320)
+    column, row = expected.round().astype(int)
+    assert depth_mm[row, column] == pytest.approx(1000 * in_camera_m[2], abs=30)
 
 
 @needs_egl

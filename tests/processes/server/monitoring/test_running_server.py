@@ -11,7 +11,7 @@ from server import cli
 from server.commands.terminal import ExitCode
 from server.config import Settings
 from server.monitoring.report import Redactor, Report, RunningServer
-from tests.processes.server.commands.test_report import members
+from tests.processes.server.commands.test_commands import members
 
 TOKEN = "one-0123456789abcdef"
 VIEW_TOKEN = "two-0123456789abcdef"

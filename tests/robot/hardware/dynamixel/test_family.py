@@ -42,7 +42,6 @@ from tests.helpers.dynamixel import (
     SteppedDynamixels,
     unread_hardware,
 )
-from tests.helpers.motions import smooth_move
 from tests.robot.hardware.feetech.test_bus import ScriptedPort
 
 FAMILY = Dynamixel()
@@ -175,12 +174,6 @@ def servos(dynamixels: SteppedDynamixels) -> DynamixelsInUse:
     return DynamixelsInUse(dynamixels)
 
 
-def test_a_servo_that_is_not_back_from_its_reboot_is_named(servos: DynamixelsInUse) -> None:
-    servos.emulator.servo_bus.faults.offline = {3}
-    with pytest.raises(NoReply):
-        run_to_end(servos.hardware._torque.clear_error(3, hold=True), servos.emulator.run)
-
-
 def test_supply_and_temperature_are_read_less_often(servos: DynamixelsInUse) -> None:
     servos.emulator.servo(3).voltage_v = 5.6
     readings = [servos.read().voltage_v[2] for _ in range(2 * TELEMETRY_EVERY)]
@@ -239,17 +232,6 @@ def test_servos_stop_by_themselves_when_the_host_dies_and_not_while_it_reads_or_
     assert servos.read().position_rad[0] == pytest.approx(stopped_rad, abs=0.05)
     assert stopped_rad < 1.4
     assert servos.emulator.registers(Register.TORQUE_ENABLE) == [1] * 6
-
-
-def test_a_host_that_was_away_takes_the_stopped_servos_over(dynamixels: SteppedDynamixels) -> None:
-    DynamixelsInUse(dynamixels).enable()
-    dynamixels.run(3.0)
-    rig = DynamixelRig(dynamixels).started()
-    rig.until(lambda: -1 not in dynamixels.registers(Register.BUS_WATCHDOG))
-    rig.execute(smooth_move({"wrist_roll": (rig.state.goal_rad[4], 0.8)}, 2.0))  # type: ignore[index]
-    rig.until(lambda: bool(rig.ended))
-    assert rig.ended[0].outcome.value == "reached"
-    assert rig.torque() == [1] * 6
 
 
 def test_a_servo_that_was_stopped_alone_is_a_fault_that_can_be_reset(dynamixels: SteppedDynamixels) -> None:

@@ -1,3 +1,5 @@
+"""Transactions on the bus of servos, and the survey of an arm."""
+
 from itertools import pairwise
 from typing import Any
 
@@ -5,11 +7,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from robot.errors import NoReply, PortLost, StartupError
+from robot.errors import NoReply, StartupError
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.bus import STEP_ATTEMPTS, read, read_registers, write_verified
+from robot.hardware.servos.family import ServoFound
 from robot.hardware.servos.registers import RegisterTable
-from tests.helpers.servo_families import IDS, Family
+from robot.hardware.servos.survey import calibration_refusal, change_refusal, survey
+from tests.helpers.servo_families import DYNAMIXEL, FEETECH, IDS, Family
 
 
 def block_read(family: Family, bus: Any) -> dict[int, Any]:
@@ -52,22 +56,6 @@ def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(family: Famil
     assert sorted(block_read(family, bus)) == [1, 2, 4, 5, 6]
     emulator.servo_bus.faults.offline = set()
     assert bus.read(3, family.registers.Register.TORQUE_ENABLE) == 0
-
-
-def test_one_broadcast_switches_all_torque_off(family: Family) -> None:
-    bus, torque = family.emulator().open_bus(), family.registers.Register.TORQUE_ENABLE
-    for servo in IDS:
-        bus.write(servo, torque, 1)
-    bus.broadcast_torque_off()
-    assert [bus.read(servo, torque) for servo in IDS] == [0] * 6
-
-
-def test_a_lost_port_is_told(family: Family) -> None:
-    emulator = family.emulator()
-    bus = emulator.open_bus()
-    emulator.port.unplug()
-    with pytest.raises(PortLost):
-        bus.read(3, family.registers.Register.TORQUE_ENABLE)
 
 
 def test_a_sequence_asks_again_when_a_reply_is_lost(family: Family) -> None:
@@ -166,3 +154,83 @@ def test_a_block_has_the_registers_from_the_first_to_the_last(table: RegisterTab
         memory[at : at + register.size] = register.encode(value)
     assert (block.registers[0], block.registers[-1]) == (first, last)
     assert block.parse(bytes(memory)) == values
+
+
+@pytest.fixture
+def emulator(family: Family) -> Any:
+    return family.emulator()
+
+
+def surveyed(family: Family, emulator: Any, *, simulated: bool = False) -> dict[int, ServoFound]:
+    return run_to_end(survey(family.driver, emulator.open_bus(), family.servo_map, simulated=simulated))
+
+
+def test_servos_are_found_as_they_are(family: Family, emulator: Any) -> None:
+    family.put(emulator, 3, "TORQUE_ENABLE", 1)
+    found = surveyed(family, emulator)
+    assert [each.values[family.registers.Register.TORQUE_ENABLE] for each in found.values()] == [0, 0, 1, 0, 0, 0]
+    for joint in family.calibration.joints:
+        servo = found[joint.servo_id]
+        assert family.driver.position_limits_ticks(servo.values) == (joint.range_min, joint.range_max)
+        assert servo.values[family.registers.Register.HOMING_OFFSET] == joint.homing_offset
+        assert servo.warnings == ()
+
+
+def test_servos_that_do_not_answer_are_named_and_no_cable_if_they_are_emulated(family: Family, emulator: Any) -> None:
+    for offline, sentence in (({3}, r"^no answer from elbow_flex \(id 3\)$"), (set(IDS), "^no servo answers$")):
+        emulator.servo_bus.faults.offline = offline
+        with pytest.raises(StartupError, match=sentence):
+            surveyed(family, emulator, simulated=True)
+    emulator.servo_bus.faults.offline = set()
+    steps = survey(family.driver, emulator.open_bus(), family.servo_map)
+    for _ in range(len(IDS) + 2):
+        next(steps)
+    emulator.servo_bus.faults.offline = set(IDS)
+    with pytest.raises(NoReply):
+        run_to_end(steps)
+
+
+def test_a_homing_offset_that_another_program_wrote_is_refused_with_the_remedy(family: Family, emulator: Any) -> None:
+    assert calibration_refusal(family.driver, family.servo_map, surveyed(family, emulator)) == ""
+    calibrated = family.calibration.joints[2].homing_offset
+    family.put(emulator, 3, "HOMING_OFFSET", calibrated - 85)
+    reason = calibration_refusal(family.driver, family.servo_map, surveyed(family, emulator))
+    assert f"elbow_flex (id 3) by 7.5 deg ({calibrated - 85} instead of {calibrated} ticks)" in reason
+    assert "calibrate the arm again" in reason
+    assert family.driver.recalibrate_advice in reason
+
+
+def test_servos_whose_calibration_has_changed_since_the_start_are_refused(family: Family, emulator: Any) -> None:
+    before = surveyed(family, emulator)
+    family.put(emulator, 3, "HOMING_OFFSET", family.calibration.joints[2].homing_offset + 40)
+    after = surveyed(family, emulator)
+    servos = family.servo_map
+    assert change_refusal(family.driver, servos, before, before, offsets_known=False) == ""
+    assert "elbow_flex (id 3) (offset" in change_refusal(family.driver, servos, before, after, offsets_known=False)
+    # Back to the calibration in use.
+    assert change_refusal(family.driver, servos, after, before, offsets_known=True) == ""
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "refused"),
+    [
+        *((ticks, ticks, True) for ticks in (-60, 60)),
+        *((low, high, False) for low in (60, None) for high in (-60, None)),
+        (60, 0, False),
+    ],
+)
+def test_shifted_limits_are_refused_others_may_differ(low: int | None, high: int | None, refused: bool) -> None:
+    emulator, joint = FEETECH.emulator(), FEETECH.calibration.joints[2]
+    lowest = 0 if low is None else joint.range_min + low
+    highest = 4095 if high is None else joint.range_max + high
+    FEETECH.put(emulator, 3, "MIN_ANGLE_LIMIT", lowest)
+    FEETECH.put(emulator, 3, "MAX_ANGLE_LIMIT", highest)
+    reason = calibration_refusal(FEETECH.driver, FEETECH.servo_map, surveyed(FEETECH, emulator))
+    assert (f"elbow_flex (id 3) {lowest} to {highest} instead of" in reason and "--write-back" in reason) is refused
+
+
+def test_a_servo_that_was_turned_many_times_is_refused() -> None:
+    emulator = DYNAMIXEL.emulator()
+    emulator.servo(3)._turns_ticks += 32 * 4096
+    with pytest.raises(StartupError, match=r"elbow_flex \(id 3\) is at -\d+ ticks, more than 16 turns away"):
+        surveyed(DYNAMIXEL, emulator)

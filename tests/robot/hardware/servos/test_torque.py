@@ -102,6 +102,19 @@ def test_an_arm_partly_relaxed_gets_its_torque_back_slowly(family: Family, emula
     assert family.limits(emulator) == pytest.approx(FULL, abs=0.001)
 
 
+def test_an_arm_that_has_sunk_in_relaxing_holds_where_it_is(family: Family, emulator: Any, torque: ServoTorque) -> None:
+    before = enable(torque, emulator)
+    steps = relax(torque._bus, IDS, torque.full_limits(), torque.full_limits())
+    for _ in range(46):
+        emulator.run(next(steps))
+    plant = emulator.servo_bus.servos[1].plant
+    sunk = plant.position_ticks = plant.position_ticks + 200
+    goals = enable(torque_of(family, emulator), emulator)
+    emulator.run(1.0)
+    assert positions(emulator)[1] == pytest.approx(sunk, abs=2 * DROOP_TICKS)
+    assert goals[2] - before[2] == pytest.approx(200, abs=2 * DROOP_TICKS)
+
+
 def test_a_half_switched_arm_is_completed(family: Family, emulator: Any, torque: ServoTorque) -> None:
     enable(torque, emulator)
     family.put(emulator, 3, "TORQUE_ENABLE", 0)

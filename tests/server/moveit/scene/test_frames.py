@@ -2,6 +2,7 @@ import pytest
 
 from planners.problem import MoveItErrorCode
 from planners.scene import Pose
+from server.moveit.scene import frames
 from server.moveit.scene.frames import MAX_NAME_LENGTH, Frames
 from tests.helpers.moveit import BENT, FORWARD, ROBOT, box, collision_object, diff, pose, rejection, scene_state
 
@@ -55,3 +56,18 @@ def test_an_unknown_frame_is_refused_by_its_name(name):
 def test_frames_that_move_are_not_found_while_the_arms_position_is_unknown(name):
     assert "position is not known" in rejection(FRAMES.resolve, name, None).message
     assert FRAMES.resolve("table", None).position_m == (0.3, 0.1, 0.0)
+
+
+def test_a_thread_that_asks_for_other_positions_meanwhile_changes_no_answer(monkeypatch):
+    look_up = Frames(ROBOT, scene_state())
+    turned = {**BENT, "shoulder_pan": 1.0}
+    expected = look_up.resolve("gripper_link", turned)
+
+    def interrupted(*arguments):
+        monkeypatch.undo()
+        assert look_up.resolve("gripper_link", turned) == expected
+        return frames.find_frame(*arguments)
+
+    monkeypatch.setattr(frames, "find_frame", interrupted)
+    assert look_up.resolve("gripper_link", BENT) != expected
+    assert look_up.resolve("gripper_link", turned) == expected

@@ -1,21 +1,112 @@
-"""Two servers in processes of their own, a machine that speaks as rmw_zenoh does, and one that stops reading."""
+"""Transports of a running server: hostile frames, a client in C over raw TCP, and Zenoh."""
 
 import asyncio
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from websockets.asyncio.client import connect
 
 from harness.clients import frame_client
-from harness.server import FAST_ARMS, RunningServer
+from harness.server import FAST, FAST_ARMS, ROOT, RunningServer
 from harness.waiting import TIMEOUT_S, running, until, wait_until
 from protocol.codecs import json
+from protocol.framing import FrameReader
+from protocol.limits import Limits
+from tests.helpers.programs import run
 from tests.helpers.zenoh_network import RosMachine, free_port
+
+OPENED = ["{", '{"a":', '"', '{"', '{"a\\"', '["",', '{"a":[', '{"":"\\\\', '{"\\']
+CLOSED = ["{}", "[{},", "[{{}},", "{  ", "}", '{"a",}']
+
+
+def seconds_for(text: str) -> float:
+    """Processor time of reading a text inside of an object, the least of three [s]."""
+    times_s = []
+    for _ in range(3):
+        reader = FrameReader(Limits())
+        started_s = time.thread_time()
+        reader.feed('{"a":')
+        reader.feed(text)
+        times_s.append(time.thread_time() - started_s)
+    return min(times_s)
+
+
+@pytest.mark.parametrize("unit", OPENED + CLOSED)
+def test_hostile_frames_take_time_in_proportion_to_their_length(unit: str) -> None:
+    short_s, long_s = (seconds_for(unit * (size // len(unit))) for size in (50_000, 800_000))
+    # Sixteen times the length; a quadratic reader would take 256 times as long. The floor is the clock's noise, and
+    # that only the longer one is decoded in pieces.
+    assert long_s < 64 * max(short_s, 0.01)
+
+
+def test_an_object_in_very_many_frames_takes_time_in_proportion_to_its_length() -> None:
+    reader = FrameReader(Limits())
+    started_s = time.thread_time()
+    reader.feed('{"a":["')
+    for _ in range(20_000):
+        reader.feed('",{"b":1},"')
+    # Reading it anew with each frame would look at two gigabytes.
+    assert time.thread_time() - started_s < 5
+
+
+SOURCE = ROOT / "tests" / "helpers" / "raw_tcp_client.c"
+TOKEN = "unreal-0123456789abcdef"
+
+# What each kind of field in a joint state in ROS 1's spelling is printed as.
+FIELDS_OF_JOINT_STATE = {
+    "msg.header.seq": "int32",
+    "msg.header.stamp.secs": "int32",
+    "msg.header.stamp.nsecs": "int32",
+    "msg.header.frame_id": "text",
+    "msg.name.0": "text",
+    "msg.position.0": "double",
+    "msg.velocity.0": "double",
+    "msg.effort": "array",
+}
+ANSWER = """op text service_response
+service text /rosapi/topic_type
+values document
+values.type text sensor_msgs/JointState
+result boolean 1
+id text call_service:/rosapi/topic_type:5
+"""
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The client, compiled."""
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("no compiler of C (cc) on this machine")
+    program = tmp_path_factory.mktemp("raw_tcp") / "client"
+    done = run(compiler, "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-o", program, SOURCE)
+    assert done.returncode == 0, done.stderr
+    return program
+
+
+def test_a_client_hears_joint_states_reaches_a_goal_and_calls_a_service(program: Path) -> None:
+    tokens = {"ARMBRIDGE_ACCESS__OPERATE_TOKENS__UNREAL": TOKEN}
+    with RunningServer("--port 0 --tcp-port 0", {**FAST, **tokens}) as server:
+        (port,) = re.findall(r"tcp://127\.0\.0\.1:(\d+) \(rosbridge over TCP\)", "\n".join(server.lines))
+        done = run(program, port, TOKEN)
+        assert done.returncode == 0, done.stderr
+        assert server.has_logged(" connected")
+        assert server.has_logged(" left")
+    state = done.stdout.split("topic text /joint_states\n")[1].split("\ndocument")[0]
+    kinds = dict(line.split(" ", 2)[:2] for line in state.splitlines())
+    assert {key: kinds.get(key) for key in FIELDS_OF_JOINT_STATE} == FIELDS_OF_JOINT_STATE
+    assert "msg.val int32 1\n" in done.stdout.split("topic text /moveit_goal_result\n")[1]
+    assert ANSWER in done.stdout
+
 
 STRING, JOINT_STATE = "std_msgs/msg/String", "sensor_msgs/msg/JointState"
 ERROR_CODES = "moveit_msgs::msg::dds_::MoveItErrorCodes_"

@@ -202,7 +202,7 @@ class Broadphase:
 
     def _of_triangles_m(self, pair: int, margin_m: float) -> float:
         """Return a lower bound of a pair's clearance, or a margin that it keeps; see :meth:`near` [m]."""
-        # With 100,000 triangles a check takes 0.4 ms and their distance 2 ms, that of two hulls 6 us.
+        # A distance of two hulls takes 6 us; of 100,000 triangles 2 ms, and a check of these 0.4 ms.
         placed = []
         for index in self._pairs[pair].tolist():
             if index not in self._hulls:

@@ -95,9 +95,8 @@ class Planner:
             end[name] = float(np.clip(start[name] + away, joint.lower, joint.upper))
         yield PlanningProblem(group.name, start, JointGoal(end))
         if robot.tip_link:
-            x, y, z = as_point(
-                self._collision.tip_positions([self._collision.start(start, group.joints)], robot.tip_link)[0]
-            )
+            self._states.forward.place(self._collision.start(start, group.joints))
+            x, y, z = as_point(self._states.forward.placement(robot.tip_link).translation)
             near = (x, y, z + WARM_UP_M)
             yield PlanningProblem(group.name, start, PositionGoal(robot.tip_link, near, WARM_UP_M / 4))
             yield CartesianProblem(group.name, start, robot.tip_link, (Line(Pose(near)),))

@@ -12,6 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from planners.geometry.kinematics import JointMap
+from planners.geometry.shapes import without_triangles
 from robot.trajectory import Vector
 
 # With coal's default of 1e-6 one pair in 80 000 that overlaps, by up to 48 mm, is called free: the search for a common
@@ -110,6 +111,7 @@ class Broadphase:
         self._single_results = list(self._single.collisionResults)
         triangles = np.array([isinstance(shape.geometry, coal.BVHModelBase) for shape in shapes], dtype=bool)
         self._triangles = frozenset(np.flatnonzero(triangles[pairs].any(axis=1)).tolist())
+        self._hulls: dict[int, coal.CollisionGeometry] = {}
         for request in self._single_requests:
             request.gjk_tolerance = GJK_TOLERANCE
         self._least_m = (CONTACT_M + apart_m).tolist()
@@ -122,17 +124,15 @@ class Broadphase:
     def near(self, q: Vector, margin_m: Vector) -> list[tuple[int, float]]:
         """Return the pairs nearer than they may be and a margin, shape (pairs,) [m], with their clearances [m].
 
-        The clearance is the distance beyond the required one. Touching pairs have 0 or less. Of triangles only contact
-        is known: where they do not touch they have :data:`UNKNOWN_M`.
+        The clearance is the distance beyond the required one. Touching pairs have 0 or less. Triangles have the
+        clearance of the hulls around them or, where hulls touch and triangles do not, :data:`UNKNOWN_M`.
         """
         self._set_margins(self._near, margin_m)
         if not self._collide(q, self._near, self._vicinity):
             return []
         found = [(pair, beyond_m + float(margin_m[pair])) for pair, beyond_m in _taken(self._near_results)]
-        if self._triangles.isdisjoint(pair for pair, _ in found):
-            return found
         self._place_alone(q)
-        return [(pair, self._of_triangles_m(pair) if pair in self._triangles else bound) for pair, bound in found]
+        return [(pair, self._of_triangles_m(pair, 0.0) if pair in self._triangles else bound) for pair, bound in found]
 
     def near_among(
         self, q: Vector, pairs: Iterable[int], margin_m: Sequence[float] | Vector
@@ -190,18 +190,35 @@ class Broadphase:
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, self._joints.positions(q))
 
     def _clearance_m(self, pair: int, margin_m: float) -> float:
-        request = self._single_requests[pair]
-        request.security_margin = self._least_m[pair] + margin_m
-        if not pin.computeCollision(self._geometry, self._single, pair):
+        if pair in self._triangles:
+            return min(margin_m, self._of_triangles_m(pair, margin_m))
+        if not self._touches_alone(pair, margin_m):
             return margin_m
-        if pair not in self._triangles:
-            return self._single_results[pair].distance_lower_bound + margin_m
-        return self._of_triangles_m(pair)
+        return self._single_results[pair].distance_lower_bound + margin_m
 
-    def _of_triangles_m(self, pair: int) -> float:
+    def _touches_alone(self, pair: int, margin_m: float) -> bool:
+        self._single_requests[pair].security_margin = self._least_m[pair] + margin_m
+        return bool(pin.computeCollision(self._geometry, self._single, pair))
+
+    def _of_triangles_m(self, pair: int, margin_m: float) -> float:
+        """Return a lower bound of a pair's clearance, or a margin that it keeps; see :meth:`near` [m]."""
+        # A distance of two hulls takes 6 us; of 100,000 triangles 2 ms, and a check of these 0.4 ms.
+        placed = []
+        for index in self._pairs[pair].tolist():
+            if index not in self._hulls:
+                self._hulls[index] = without_triangles(self._shapes[index]).geometry
+            place = self._single.oMg[index]
+            placed.append((self._hulls[index], coal.Transform3s(place.rotation, place.translation)))
+        (first, at_first), (second, at_second) = placed
+        request, result = coal.DistanceRequest(), coal.DistanceResult()
+        request.gjk_tolerance = GJK_TOLERANCE
+        around_m = coal.distance(first, at_first, second, at_second, request, result) - float(self._least_m[pair])
+        if around_m > 0.0:
+            return around_m
+        if margin_m > 0.0 and not self._touches_alone(pair, margin_m):
+            return margin_m
         # The first triangle within a margin ends a check: others may be nearer.
-        self._single_requests[pair].security_margin = self._least_m[pair]
-        return 0.0 if pin.computeCollision(self._geometry, self._single, pair) else UNKNOWN_M
+        return 0.0 if self._touches_alone(pair, 0.0) else UNKNOWN_M
 
     def _distance(self, pair: int) -> coal.DistanceResult:
         self._contact.distanceRequests[pair].gjk_tolerance = GJK_TOLERANCE

@@ -311,15 +311,6 @@ class CollisionModel:
             near.append(NearPair(first.name, second.name, by_object, distance_m, gradient, by_another_arm))
         return near
 
-    def tip_positions(self, configurations: Sequence[Vector] | Vector, link: str) -> Vector:
-        """Origin of a link in each configuration, shape (n, 3) [m]."""
-        frame = frame_of_link(self._model, link)
-        positions = np.empty((len(configurations), 3))
-        for i, q in enumerate(configurations):
-            pin.forwardKinematics(self._model, self._data, self._joints.positions(q))
-            positions[i] = pin.updateFramePlacement(self._model, self._data, frame).translation
-        return positions
-
     def _build(self, scene: Scene) -> None:
         # Known once all is built: a scene that raises halfway counts as none, and is built again by the next request.
         self._version: int | None = None

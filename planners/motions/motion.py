@@ -308,35 +308,19 @@ def smooth(
     """Return a free curve, then ever shorter ones by pieces whose points are ``free``, all ``along``; ends stay."""
     stages, fruitless, reach = [curve], 0, 1.0
     while fruitless < FRUITLESS_ROUNDS and not should_stop():
-        shorter = _shorter(stages[-1], reach, limits, free, along, rng)
-        fruitless, reach = (fruitless + 1, SHRINK * reach) if shorter is None else (0, min(1.0, reach / SHRINK))
-        stages += [] if shorter is None else [shorter]
+        curve = stages[-1]
+        middles = rng.uniform(0.0, 1.0, PARTS_A_ROUND)
+        lengths = reach * rng.uniform(0.0, 1.0, PARTS_A_ROUND)
+        shares = np.clip((middles - 0.5 * lengths, middles + 0.5 * lengths), 0.0, 1.0)
+        first, last = ends = np.rint(shares * curve.duration_ticks).astype(np.int64)
+        (p0, p1), (v0, v1) = (each.reshape(2, PARTS_A_ROUND, -1) for each in curve.at(ends.ravel())[:2])
+        ticks = whole_ticks(least_time_s(p0, v0, p1, v1, reduced(limits)))
+        ways = Ways(p0, v0, p1, v1, ticks, limits)
+        gains = np.where(ways.possible, last - first - ticks, 0)
+        halfway = ways.halfway()
+        best = np.argsort(-gains, kind="stable")[:TRIES_A_ROUND].tolist()
+        pieces = ((i, ways.curve(i)) for i in best if gains[i] >= LEAST_GAIN_TICKS and free(halfway[i]))
+        i, piece = next(((i, piece) for i, piece in pieces if along(piece)), (0, None))
+        stages += [] if piece is None else [curve.replaced(int(first[i]), int(last[i]), piece)]
+        fruitless, reach = (fruitless + 1, SHRINK * reach) if piece is None else (0, min(1.0, reach / SHRINK))
     return stages
-
-
-def _shorter(
-    curve: Curve,
-    reach: float,
-    limits: RateLimits,
-    free: Callable[[Vector], bool],
-    along: Callable[[Curve], bool],
-    rng: np.random.Generator,
-) -> Curve | None:
-    """Return the curve with one part of at most a share ``reach`` of it replaced; None where no try succeeds."""
-    middles = rng.uniform(0.0, 1.0, PARTS_A_ROUND)
-    lengths = reach * rng.uniform(0.0, 1.0, PARTS_A_ROUND)
-    shares = np.clip((middles - 0.5 * lengths, middles + 0.5 * lengths), 0.0, 1.0)
-    first, last = ends = np.rint(shares * curve.duration_ticks).astype(np.int64)
-    positions, velocities, _ = curve.at(ends.ravel())
-    p0, p1 = positions[:PARTS_A_ROUND], positions[PARTS_A_ROUND:]
-    v0, v1 = velocities[:PARTS_A_ROUND], velocities[PARTS_A_ROUND:]
-    ticks = whole_ticks(least_time_s(p0, v0, p1, v1, reduced(limits)))
-    ways = Ways(p0, v0, p1, v1, ticks, limits)
-    gains = np.where(ways.possible, last - first - ticks, 0)
-    halfway = ways.halfway()
-    for i in np.argsort(-gains, kind="stable")[:TRIES_A_ROUND].tolist():
-        if gains[i] < LEAST_GAIN_TICKS:
-            break
-        if free(halfway[i]) and along(piece := ways.curve(i)):
-            return curve.replaced(int(first[i]), int(last[i]), piece)
-    return None

@@ -4,6 +4,7 @@ from itertools import count
 
 import numpy as np
 
+from planners.geometry.kinematics import ForwardKinematics
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Scene, SceneObject, Sphere
 
 # Scenes are told apart by their version, so no two tests may share one.
@@ -58,3 +59,8 @@ def outside_m(hull, points):
     heights = (normals * a).sum(axis=1)
     outwards = np.sign(heights - normals @ corners.mean(axis=0))
     return ((points @ normals.T - heights) * outwards).max(axis=1)
+
+
+def tip_positions_m(collision, configurations, link):
+    """Origin of a link in each configuration, shape (n, 3) [m]."""
+    return ForwardKinematics(collision._robot, collision.joint_names).placements(configurations, link).positions_m

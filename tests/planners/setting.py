@@ -56,7 +56,7 @@ class Setting:
 
     def tip_m(self, positions_rad):
         q = np.array([positions_rad[name] for name in self.collision.joint_names])
-        return tuple(self.collision.tip_positions([q], TIP)[0].tolist())
+        return tuple(self.forward.placements([q], TIP).positions_m[0].tolist())
 
 
 def end_of(plan):

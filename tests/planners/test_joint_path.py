@@ -11,7 +11,7 @@ from planners.problem import JointPathProblem, MoveItErrorCode, Plan, PlanningFa
 from planners.scene import Box
 from robot.trajectory import Trajectory
 from tests.planners.invariants import assert_from_rest_to_rest, assert_keeps_rates, assert_well_formed
-from tests.planners.scenes import thing
+from tests.planners.scenes import thing, tip_positions_m
 
 JOINTS = ("shoulder_pan", "elbow_flex", "gripper")
 
@@ -62,7 +62,7 @@ def test_a_path_through_something_is_refused_with_when_and_what(planner, collisi
     asked = problem(at_home)
     place = dict(zip(JOINTS, asked.positions_rad[len(asked.positions_rad) // 2], strict=True))
     place_q = np.array([place.get(name, 0.0) for name in collision.joint_names])
-    place_m = collision.tip_positions([place_q], "gripper_frame_link")[0].tolist()
+    place_m = tip_positions_m(collision, [place_q], "gripper_frame_link")[0].tolist()
     put(planner, thing(Box((0.03, 0.03, 0.03)), *place_m, name="crate"))
     refused = planner.answer(asked)
     assert isinstance(refused, PlanningFailure)

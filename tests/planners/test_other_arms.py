@@ -32,7 +32,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.joined import PlacedArm, joined, prefixed
 from robot.description.robot_folder import built_in
 from tests.helpers.robots import so101
-from tests.planners.scenes import thing
+from tests.planners.scenes import thing, tip_positions_m
 from tests.planners.small_arms import PALLETIZER_SRDF, PALLETIZER_URDF
 
 FETCH, KOCH = built_in("fetch").model, built_in("koch_v1_1").model
@@ -88,7 +88,7 @@ def test_a_koch_touches_nothing_at_and_between_its_named_states_and_reaches_as_f
     for name, end in states.items():
         way = states["home"] + np.linspace(0.0, 1.0, 50)[:, np.newaxis] * (end - states["home"])
         assert not any(map(collision.collides, way)), name
-    (tip,) = collision.tip_positions([states["extended"]], "gripper_frame_link")
+    (tip,) = tip_positions_m(collision, [states["extended"]], "gripper_frame_link")
     # Upper arm 108 mm, forearm 100 mm, wrist 45 mm, fingers 67 mm.
     assert tip[:2] == pytest.approx([0.32, 0.0], abs=0.01)
 
@@ -133,7 +133,7 @@ def test_no_point_travels_further_than_is_said(collision):
     for q in STATES:
         for column, step in enumerate(step_rad * np.eye(len(NAMES))):
             for link in ("wrist", "left", "right"):
-                start_m, end_m = collision.tip_positions([q, q + step], link)
+                start_m, end_m = PALLETIZER_FORWARD.placements([q, q + step], link).positions_m
                 most_m = collision.travel_m_per_rad[column] * step_rad * (1.0 + 1e-6)
                 assert np.linalg.norm(end_m - start_m) <= most_m
 

@@ -100,6 +100,7 @@ class GeometryData:
     collisionResults: Sequence[CollisionResult]
     distanceRequests: Sequence[DistanceRequest]
     distanceResults: Sequence[DistanceResult]
+    oMg: Sequence[SE3]
     def setSecurityMargins(
         self, geometry_model: GeometryModel, margins: _Vector, upper: bool, sync_distance_upper_bound: bool
     ) -> None: ...

@@ -17,7 +17,7 @@ from planners.geometry.shapes import convex, enclosing, kinematic_urdf
 from planners.scene import EMPTY_SCENE, AttachedObject, Box, Mesh, Plane, Pose, Scene, SceneObject
 from robot.description import model
 from tests.helpers.resources import examples, in_proportion
-from tests.planners.scenes import CORNERS_M, FACES, SHAPES, around_the_arm, outside_m, scene, thing
+from tests.planners.scenes import CORNERS_M, FACES, SHAPES, around_the_arm, outside_m, scene, thing, tip_positions_m
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, stl
 
 NEAR_CUBE, POST = (
@@ -105,7 +105,7 @@ def test_no_verdict_depends_on_what_was_asked_before(robot, collision):
 
 def test_tip_of_the_stretched_arm_is_where_it_was_measured(collision):
     # Figures of the official description at all joints zero.
-    tip_m = collision.tip_positions([HOME], "gripper_frame_link")[0]
+    tip_m = tip_positions_m(collision, [HOME], "gripper_frame_link")[0]
     np.testing.assert_allclose(tip_m, (0.391, 0.0, 0.226), atol=1e-3)
 
 
@@ -190,9 +190,9 @@ CUBE = np.array([(x, y, z) for x in (0.0, 1.0) for y in (0.0, 1.0) for z in (0.0
 
 
 @examples(20)
-@given(st.integers(0, 1000), st.tuples(*[st.floats(0.01, 1.0)] * 3))
-def test_many_points_are_enclosed_by_few_corners(seed, size_m):
-    points = np.random.default_rng(seed).normal(size=(2000, 3))
+@given(st.integers(0, 1000), st.tuples(*[st.floats(0.01, 1.0)] * 3), st.sampled_from([2000, shapes.MANY_POINTS]))
+def test_many_points_are_enclosed_by_few_corners(seed, size_m, count):
+    points = np.random.default_rng(seed).normal(size=(count, 3))
     points = 0.3 + np.array(size_m) * points / np.linalg.norm(points, axis=1)[:, None]
     hull = enclosing(points)
     assert len(hull.points()) <= shapes.MAX_CORNERS

@@ -5,6 +5,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from harness.meshes import ball
 from planners.geometry.broadphase import FEW_SHAPES, UNKNOWN_M
 from planners.geometry.certificate import line_free
 from planners.geometry.collision import CollisionModel
@@ -12,7 +13,7 @@ from planners.geometry.joint_space import JointSpace
 from planners.geometry.parts import PartPair, parts_of
 from planners.geometry.shapes import convex, frame_of_link, kinematic_urdf
 from planners.geometry.surfaces import UNIT_M, load_surfaces
-from planners.scene import Box, Plane, Sphere
+from planners.scene import Box, Mesh, Plane, Sphere
 from robot.description import model
 from tests.helpers.resources import in_proportion
 from tests.planners.scenes import CORNERS_M, FACES, around_the_arm, outside_m, scene, thing
@@ -82,9 +83,25 @@ def test_near_is_nearer_than_the_margin_of_each_pair(crowded, margins_m):
             for pair, clearance_m in (*found.items(), *alone):
                 assert (clearance_m <= 0.0) == (known_m[pair] <= 0.0)
                 if pair in broadphase._triangles:
-                    assert clearance_m <= UNKNOWN_M
+                    assert clearance_m <= max(UNKNOWN_M, known_m[pair])
                 elif clearance_m > 0.0:
                     assert clearance_m == pytest.approx(known_m[pair], abs=2e-6)
+
+
+def test_a_ball_of_triangles_has_nearly_the_clearance_of_a_solid_one_and_no_more_than_its_own(robot, crowded):
+    (_, states), near = crowded, 0
+    mesh, solid = (CollisionModel(robot) for _ in range(2))
+    mesh.set_scene(scene(thing(Mesh(*ball(0.05, 60)), 0.3, 0.0, 0.2)))
+    solid.set_scene(scene(thing(Sphere(0.05), 0.3, 0.0, 0.2)))
+    margins_m = np.full(len(mesh.approach_m_per_rad), 0.2)
+    for q in states:
+        own_m, clearances_m = distances_m(mesh._broadphase, q), dict(solid.near(q, margins_m))
+        for pair, clearance_m in mesh.near(q, margins_m):
+            assert clearance_m <= max(own_m[pair], UNKNOWN_M) + 1e-6
+            if clearances_m[pair] > 0.003:
+                assert clearance_m > clearances_m[pair] - 0.002
+                near += pair in mesh._broadphase._triangles
+    assert near > STATES
 
 
 # Two small tetrahedra at the ends of the boom: between them is only their hull.

@@ -16,7 +16,7 @@ from planners.scene import Box, Pose, SceneObject
 from robot.description import model
 from tests.helpers.robots import so101
 from tests.planners.invariants import BLOCKED_LINES
-from tests.planners.scenes import around_the_arm, scene, thing
+from tests.planners.scenes import around_the_arm, scene, thing, tip_positions_m
 from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 
 CRANE = model.parse(CRANE_URDF, CRANE_SRDF)
@@ -170,7 +170,7 @@ def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(space_in, chang
 
 def test_an_allowed_contact_does_not_come_again_further_on(changing, arm):
     # Two posts of one object: a turn of the base alone brings the arm as deep into the second as it is in the first.
-    axis_m = changing.tip_positions([np.zeros(6)], "shoulder_link")[0][:2]
+    axis_m = tip_positions_m(changing, [np.zeros(6)], "shoulder_link")[0][:2]
 
     def post(pan_rad):
         x, y = axis_m + 0.35 * np.array([np.cos(pan_rad), np.sin(pan_rad)])

@@ -13,7 +13,7 @@ from planners.problem import MoveItErrorCode as Code
 from planners.scene import Box, Pose
 from tests.planners.ik.test_kinematics import pose_of
 from tests.planners.invariants import never
-from tests.planners.scenes import scene, thing
+from tests.planners.scenes import scene, thing, tip_positions_m
 
 TIP = "gripper_frame_link"
 HOME = np.zeros(6)
@@ -129,7 +129,7 @@ def test_a_point_out_of_reach_comes_with_the_nearest_configuration_also_where_th
     nearest_rad = failure.details["nearest_rad"]
     assert list(nearest_rad) == list(arm.joints)
     q = np.array([nearest_rad.get(name, 0.0) for name in collision.joint_names])
-    np.testing.assert_allclose(collision.tip_positions([q], TIP)[0], failure.details["nearest_m"], atol=1e-3)
+    np.testing.assert_allclose(tip_positions_m(collision, [q], TIP)[0], failure.details["nearest_m"], atol=1e-3)
     failure = find(Point(TIP, (0.6, 0.0, 0.3), 0.001), should_stop=lambda: True)
     assert failure.code is Code.PREEMPTED
     assert "the nearest point so far is" in failure.message
@@ -152,7 +152,7 @@ def test_states_found_for_a_constraint_goal_meet_it_and_contradictions_are_refus
     roll = JointConstraint("wrist_roll", 0.5, 0.05, 0.05)
     for state in find(ConstraintGoal(Constraints(joints=(roll,), positions=(region,)))):
         assert abs(state.q[collision.joint_names.index("wrist_roll")] - 0.5) <= 0.051
-        away_m = np.abs(collision.tip_positions([state.q], TIP)[0] - (0.25, 0.1, 0.2))
+        away_m = np.abs(tip_positions_m(collision, [state.q], TIP)[0] - (0.25, 0.1, 0.2))
         assert np.all(away_m <= (0.0501, 0.0501, 0.0101))
     low, high = (Region(TIP, Pose((0.3, 0.0, z)), radius_m=0.01) for z in (0.2, 0.3))
     failure = find(ConstraintGoal(Constraints(positions=(low, high))))

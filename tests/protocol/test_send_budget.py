@@ -1,7 +1,6 @@
 import itertools
 
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
@@ -255,16 +254,6 @@ class Clients(RuleBasedStateMachine):
 
 
 TestClients = Clients.TestCase
-
-
-@given(st.lists(sizes, max_size=100))
-def test_all_that_is_put_leaves_or_is_dropped_when_time_is_up(sizes_bytes: list[int]) -> None:
-    budget, (queue,) = queues(1, 30_000)
-    for size_bytes in sizes_bytes:
-        put(queue, 1, size_bytes)
-    queue.drop_late(Limits().max_topic_delay_s + 0.1)
-    assert budget.used_bytes == 0
-    assert queue.dropped == len(sizes_bytes)
 
 
 def test_the_parts_of_the_send_budget_fit_together() -> None:

@@ -31,13 +31,6 @@ def taken(box, now, budget_bytes=10**9):
     return [frame.data for each in box.take_due(now, budget_bytes) for frame in each.frames]
 
 
-def all_taken(box, now, budget_bytes):
-    got = []
-    while due := taken(box, now, budget_bytes):
-        got += due
-    return got
-
-
 def put(box, subscription, *waiting, now=0.0):
     for frame in waiting:
         box.put_topic_data(subscription, frame if isinstance(frame, EncodedMessage) else encoded(frame), now)
@@ -322,22 +315,6 @@ def test_pictures_come_through_to_a_client_that_is_behind_with_small_messages_to
     got = [len(frame) for _ in range(8) for frame in taken(box, 1.0, 65_536)]
     assert got.count(len(LARGE)) >= 3
     assert got.count(30_000) >= 6
-
-
-def test_messages_of_one_topic_keep_their_order_whatever_their_sizes(free, other):
-    box, sent = send_queue(), [b"1", LARGE + b"2", b"3", LARGE + b"4", b"5"]
-    put(box, other, *sent)
-    assert all_taken(box, 1.0, 65_536) == sent
-    # A large message does not overtake a small one of its topic.
-    box = send_queue()
-    put(box, free, LARGE, LARGE)
-    assert taken(box, 1.0, 1) == [LARGE]
-    put(box, other, b"1", LARGE + b"2")
-    assert all_taken(box, 1.0, 1) == [LARGE, b"1", LARGE + b"2"]
-    put(box, free, LARGE)
-    assert taken(box, 1.0, 1) == [LARGE]
-    put(box, other, b"1", LARGE + b"2")
-    assert taken(box, 1.0, 1) == [b"1"]
 
 
 def test_small_messages_do_not_wait_for_a_large_one_whose_encoding_takes_long(free, other):

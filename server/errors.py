@@ -25,6 +25,10 @@ class ServiceError(ServerError):
     """A service that cannot do what it is asked for; its caller gets the text."""
 
 
+class NoAnswerError(ServiceError):
+    """A provider elsewhere that gives no answer that could be passed on: the call fails."""
+
+
 class FileTooLargeError(ServiceError):
     """A file that has more bytes than are served."""
 

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
 from robot.errors import RobotError
-from server.errors import ServerError, UnsuccessfulError
+from server.errors import NoAnswerError, ServerError, UnsuccessfulError
 from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node, Rule
@@ -103,6 +103,8 @@ def failure_told(call: Call) -> Iterator[None]:
     """Fail a call that the block cannot answer, with the reason."""
     try:
         yield
+    except NoAnswerError as error:
+        call.fail(str(error))
     except UnsuccessfulError as error:
         call.succeed(error.response, str(error))
     except (ServerError, RobotError) as error:

@@ -17,7 +17,7 @@ from protocol.type_descriptions import message_hash, service_hash
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer, rule_of_service
 from server.arrival import arrived_in
-from server.errors import GraphError, ServiceError
+from server.errors import GraphError, NoAnswerError, ServiceError
 from server.graph.actions import ENDED_KEPT_S, MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
 from server.graph.providers import CompleteResponse
@@ -57,9 +57,9 @@ class RemoteService:
         self._declaration.undeclare()
 
     async def call(self, request: Mapping[str, Any], timeout_s: float = LOCAL_TIMEOUT_S) -> bytes:
-        """Call the service; return the response as CDR, or raise ServiceError with the reason."""
+        """Call the service; return the response as CDR, or raise NoAnswerError with the reason."""
         if self._in_progress >= MAX_OUTGOING_CALLS:
-            raise ServiceError(f"{self._title}: {MAX_OUTGOING_CALLS} calls are on their way already")
+            raise NoAnswerError(f"{self._title}: {MAX_OUTGOING_CALLS} calls are on their way already")
         network, limit = self._network, self._network.max_message_bytes
         self._sent += 1
         attachment = Attachment(self._sent, time.time_ns(), self._gid).encode()
@@ -71,7 +71,7 @@ class RemoteService:
             if isinstance(response, bytes):
                 answered.set_result(response)
             else:
-                answered.set_exception(ServiceError(response))
+                answered.set_exception(NoAnswerError(response))
 
         def on_reply(reply: zenoh.Reply) -> None:
             if reply.ok is not None and len(reply.ok.payload) > limit:
@@ -101,7 +101,7 @@ class RemoteService:
             )
 
         if not network.thread.submit_call(get):
-            raise ServiceError(f"{self._title}: the network stands still")
+            raise NoAnswerError(f"{self._title}: the network stands still")
         self._in_progress += 1
         return await answered
 
@@ -130,7 +130,7 @@ class CalledService:
             response = await self._network.decode(f"{type_name}_Response", octets)
             return CompleteResponse(response.completed(f"{type_name}_Response") or {})
         except MessageError as error:
-            raise ServiceError(
+            raise NoAnswerError(
                 f"Service {self._name} gave a response that does not fit {type_name}: {error}"
             ) from error
 

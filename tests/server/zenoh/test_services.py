@@ -62,14 +62,15 @@ async def test_a_query_for_many_keys_calls_no_service() -> None:
     assert requests == []
 
 
-async def test_a_service_that_fails_says_why() -> None:
-    def fail(_request: dict[str, Any]) -> dict[str, Any]:
+async def test_a_service_that_refuses_says_why_in_its_response() -> None:
+    def refuse(_request: dict[str, Any]) -> dict[str, Any]:
         raise ServiceError("the arm is not there")
 
     async with networked(offer=("/arm/*",)) as (site, machine):
-        site.graph.services.offer(site.part, "/arm/stop", TRIGGER, fail)
+        site.graph.services.offer(site.part, "/arm/stop", TRIGGER, refuse)
         (reply,) = await replies(machine)
-    assert failure(reply) == "the arm is not there"
+    assert reply.ok is not None
+    assert bytes(reply.ok.payload) == b"\0\1\0\0\0\0\0\0\x15\0\0\0the arm is not there\0"
 
 
 @pytest.mark.parametrize(

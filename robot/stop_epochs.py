@@ -5,7 +5,16 @@ long it then waits; an arm refuses a request from an epoch before its own last s
 a process, so that one number orders a request and the stops of each arm.
 """
 
+from typing import Protocol
+
 STOPPED_SINCE = "a stop came after this motion was requested"
+
+
+class Receiver(Protocol):
+    """Receiver of requests, some of which may have arrived and not be read yet."""
+
+    def date_unread(self) -> None:
+        """Note that what is unread has arrived in the present epoch."""
 
 
 class StopEpochs:
@@ -13,9 +22,12 @@ class StopEpochs:
 
     def __init__(self) -> None:
         self.present = 0  # epoch of what arrives now
+        self.receivers: set[Receiver] = set()
 
     def begin(self) -> int:
         """Begin a new epoch, for a stop; return it."""
+        for receiver in self.receivers:
+            receiver.date_unread()
         self.present += 1
         return self.present
 

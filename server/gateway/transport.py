@@ -8,13 +8,16 @@ gets the time to read the reason.
 from __future__ import annotations
 
 import asyncio
+import fcntl
 import logging
 import math
 import socket
 import struct
 import sys
+import termios
 import time
 from abc import abstractmethod
+from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
@@ -42,6 +45,9 @@ WRITE_LIMIT_BYTES = 32_768
 
 # Messages that follow one another more quickly than this leave together: more than a message of a flood takes [s].
 BURST_S = 0.0002
+
+# Stops whose unread bytes are told apart; beyond them bytes count as older than they are.
+MAX_UNREAD = 16
 
 # Time for a client to read the reason why its connection ends, and the last of its replies [s].
 END_TIMEOUT_S = 1.0
@@ -97,6 +103,8 @@ class Transport(asyncio.Protocol):
         self._turn_waits = False
         # Stop epoch in which the bytes arrived that wait to be handed over.
         self._epoch = STOP_EPOCHS.present
+        # Ends, in received bytes, of what stops found unread in the socket, and the epochs in which it had arrived.
+        self._unread: deque[tuple[int, int]] = deque()
         self._at_eof = False
         # Nothing more is read: the client has sent its last, or the connection ends.
         self._read_all = asyncio.Event()
@@ -147,6 +155,7 @@ class Transport(asyncio.Protocol):
             return
         self._transport.set_write_buffer_limits(WRITE_LIMIT_BYTES)
         self._transports.add(self)
+        STOP_EPOCHS.receivers.add(self)
         self._begin(self._slot.rejection)
 
     def _start_serving(self) -> None:
@@ -167,6 +176,7 @@ class Transport(asyncio.Protocol):
             return
         self._slot.release()
         self._transports.discard(self)
+        STOP_EPOCHS.receivers.discard(self)
         if self._end_timer is not None:
             self._end_timer.cancel()
         if exc is not None and self._failure is None:
@@ -222,17 +232,45 @@ class Transport(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Hand over the frames in what the socket has received, until the turn is over."""
-        if self._ending:
-            return
-        self.received_bytes += len(data)
+        for piece, epoch in self._dated(data):
+            if self._ending:
+                return
+            try:
+                self._add(piece)
+            except MemoryError:
+                self.end_out_of_memory()
+                return
+            if not self._turn_waits:
+                self._epoch = STOP_EPOCHS.present if epoch is None else epoch
+                self._take_turn()
+
+    def date_unread(self) -> None:
+        """Note that what the socket holds has arrived before a stop, which another connection has brought sooner."""
         try:
-            self._add(data)
-        except MemoryError:
-            self.end_out_of_memory()
+            descriptor = self._transport.get_extra_info("socket").fileno()
+            unread = int.from_bytes(fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4)), sys.byteorder)
+        except (OSError, ValueError):
+            # It is being closed.
             return
-        if not self._turn_waits:
-            self._epoch = STOP_EPOCHS.present
-            self._take_turn()
+        # With TLS these are bytes of the encrypted stream, a few more than of the client's.
+        end = self.received_bytes + unread
+        if unread and (not self._unread or self._unread[-1][0] < end):
+            full = len(self._unread) >= MAX_UNREAD
+            self._unread.append((end, self._unread.pop()[1] if full else STOP_EPOCHS.present))
+
+    def _dated(self, data: bytes) -> list[tuple[bytes, int | None]]:
+        """Count what has been received, and part it by the stop epochs of its arrival, None for the present one."""
+        pieces: list[tuple[bytes, int | None]] = []
+        begin = self.received_bytes
+        self.received_bytes += len(data)
+        while self._unread and data:
+            end, epoch = self._unread[0]
+            if end <= begin:
+                self._unread.popleft()
+                continue
+            pieces.append((data[: end - begin], epoch))
+            begin, data = end, data[end - begin :]
+        return [*pieces, (data, None)] if data else pieces
 
     def eof_received(self) -> bool:
         """End the client when all has been read; return True to let it read its last replies."""
@@ -253,10 +291,12 @@ class Transport(asyncio.Protocol):
                     self._go_on_reading()
                     return
                 if self._client is not None and not self._discards:
-                    before = STOP_EPOCHS.present
+                    before, dated = STOP_EPOCHS.present, len(self._unread)
                     self._client.receive_frame(frame, self._epoch)
+                    # Frames behind the client's own stop are later.
+                    while STOP_EPOCHS.present > before and len(self._unread) > dated:
+                        self._unread.pop()
                     if self._epoch == before:
-                        # Frames behind the client's own stop are later.
                         self._epoch = STOP_EPOCHS.present
                 if time.monotonic() >= ends_s:
                     self._take_turn_later()

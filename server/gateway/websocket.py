@@ -167,10 +167,11 @@ class WebSocket(Transport):
         if self._opened or self._ending:
             super().data_received(data)
             return
-        self.received_bytes += len(data)
+        epoch = self._dated(data)[0][1]
         # No more is read while a request over HTTP is being answered.
         if self._task is None:
             self._data += data
+            self._epoch = STOP_EPOCHS.present if epoch is None else epoch
             self._read_request()
 
     def _respond(self, request: Request) -> None:
@@ -200,7 +201,7 @@ class WebSocket(Transport):
             elif body_bytes is None or admitted is None:
                 self._task = asyncio.get_running_loop().create_task(self._answer(request))
             else:
-                self._post = request, admitted, body_bytes, STOP_EPOCHS.present
+                self._post = request, admitted, body_bytes, self._epoch
                 self._call_later(REQUEST_TIMEOUT_S, self._end_request)
                 if request.headers.get("Expect"):
                     self._write((_CONTINUE,))

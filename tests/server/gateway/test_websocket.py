@@ -5,6 +5,7 @@ import contextlib
 import gc
 import json
 import logging
+import select
 import weakref
 from collections.abc import AsyncIterator
 from typing import NamedTuple
@@ -107,27 +108,63 @@ async def test_a_flood_is_carried_out_in_order_however_it_is_cut_and_however_lon
         assert not link.server._data
 
 
+def heard_epochs(link: Link) -> list[int]:
+    """The epochs of the publications on /t, to be filled; "stop" is a stop of the client itself."""
+    epochs: list[int] = []
+
+    def hear(published: PublishedMessage) -> None:
+        epochs.append(arrival_epoch())
+        if published.msg["data"] == "stop":
+            STOP_EPOCHS.begin()
+
+    link.graph.subscribe(TALKER, "/t", "std_msgs/String", Subscriber(hear))
+    return epochs
+
+
 @pytest.mark.parametrize("own", [False, True], ids=["another client's", "its own"])
 async def test_what_waits_for_its_turn_when_a_stop_comes_is_older_unless_it_came_behind_the_clients_own(
     monkeypatch: pytest.MonkeyPatch, *, own: bool
 ) -> None:
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with linked() as link:
-        epochs: list[int] = []
-
-        def hear(published: PublishedMessage) -> None:
-            epochs.append(arrival_epoch())
-            if own and published.msg["data"] == "1":
-                STOP_EPOCHS.begin()
-
-        link.graph.subscribe(TALKER, "/t", "std_msgs/String", Subscriber(hear))
-        before = STOP_EPOCHS.present
-        link.server.data_received(flood_of(["1", "2", "3"]))
+        epochs, before = heard_epochs(link), STOP_EPOCHS.present
+        link.server.data_received(flood_of(["stop" if own else "1", "2", "3"]))
         assert len(epochs) == 1
         if not own:
             STOP_EPOCHS.begin()
         await until(lambda: len(epochs) == 3)
         assert epochs == [before, before + own, before + own]
+
+
+async def test_what_the_socket_held_unread_when_another_client_stopped_is_older_than_the_stop() -> None:
+    async with linked() as link:
+        epochs, before = heard_epochs(link), STOP_EPOCHS.present
+        link.server._transport.pause_reading()
+        await link.client.send(publication("1").decode())
+        await link.client.send(publication("2").decode())
+        await until(
+            lambda: bool(select.select([link.server._transport.get_extra_info("socket").fileno()], [], [], 0)[0])
+        )
+        STOP_EPOCHS.begin()
+        await link.client.send(publication("3").decode())
+        link.server._transport.resume_reading()
+        await until(lambda: len(epochs) == 3)
+        assert epochs == [before, before, before + 1]
+        await link.client.send(publication("4").decode())
+        await until(lambda: len(epochs) == 4)
+        assert epochs[3] == before + 1
+
+
+async def test_what_the_socket_held_unread_behind_the_clients_own_stop_is_later() -> None:
+    async with linked() as link:
+        epochs, before = heard_epochs(link), STOP_EPOCHS.present
+        link.server._transport.pause_reading()
+        # More than the event loop reads at once.
+        for each in ("stop", *["x" * 2_000] * 199):
+            await link.client.send(publication(each).decode())
+        link.server._transport.resume_reading()
+        await until(lambda: len(epochs) == 200)
+        assert epochs == [before, *[before + 1] * 199]
 
 
 @pytest.mark.parametrize("piece_bytes", [1, 10_000])

@@ -46,7 +46,7 @@ WRITE_LIMIT_BYTES = 32_768
 # Messages that follow one another more quickly than this leave together: more than a message of a flood takes [s].
 BURST_S = 0.0002
 
-# Stops whose unread bytes are told apart; beyond them bytes count as older than they are.
+# Stops whose unread bytes are kept apart; with more, bytes count as older than they are.
 MAX_UNREAD = 16
 
 # Time for a client to read the reason why its connection ends, and the last of its replies [s].

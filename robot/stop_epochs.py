@@ -14,7 +14,7 @@ class Receiver(Protocol):
     """Receiver of requests, some of which may have arrived and not be read yet."""
 
     def date_unread(self) -> None:
-        """Note that what is unread has arrived in the present epoch."""
+        """Note that unread requests have arrived in the present epoch."""
 
 
 class StopEpochs:

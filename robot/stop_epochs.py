@@ -11,7 +11,7 @@ STOPPED_SINCE = "a stop came after this motion was requested"
 
 
 class Receiver(Protocol):
-    """Receiver of requests, some of which may have arrived and not be read yet."""
+    """Receiver of requests; some may have arrived and not be read yet."""
 
     def date_unread(self) -> None:
         """Note that unread requests have arrived in the present epoch."""

@@ -23,7 +23,7 @@ from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.arrival import arrival_epoch
 from server.gateway import listener as listener_module
-from server.gateway import transport, websocket
+from server.gateway import transport, turns, websocket
 from server.gateway.connection import MAX_UNKNOWN_BYTES, Connection
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
@@ -108,6 +108,13 @@ async def test_a_flood_is_carried_out_in_order_however_it_is_cut_and_however_lon
         assert not link.server._data
 
 
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each frame is carried out as it is handed over, also where the machine is busy."""
+    monkeypatch.setattr(turns, "TURN_S", 60.0)
+    monkeypatch.setattr(turns, "ROUND_S", 60.0)
+
+
 def heard_epochs(link: Link) -> list[int]:
     """The epochs of the publications on /t, to be filled; "stop" is a stop of the client itself."""
     epochs: list[int] = []
@@ -121,6 +128,7 @@ def heard_epochs(link: Link) -> list[int]:
     return epochs
 
 
+@pytest.mark.usefixtures("at_once")
 @pytest.mark.parametrize("own", [False, True], ids=["another client's", "its own"])
 async def test_what_waits_for_its_turn_when_a_stop_comes_is_older_unless_it_came_behind_the_clients_own(
     monkeypatch: pytest.MonkeyPatch, *, own: bool
@@ -136,6 +144,7 @@ async def test_what_waits_for_its_turn_when_a_stop_comes_is_older_unless_it_came
         assert epochs == [before, before + own, before + own]
 
 
+@pytest.mark.usefixtures("at_once")
 async def test_what_the_socket_held_unread_when_another_client_stopped_is_older_than_the_stop() -> None:
     async with linked() as link:
         epochs, before = heard_epochs(link), STOP_EPOCHS.present
@@ -155,6 +164,7 @@ async def test_what_the_socket_held_unread_when_another_client_stopped_is_older_
         assert epochs[3] == before + 1
 
 
+@pytest.mark.usefixtures("at_once")
 async def test_what_the_socket_held_unread_behind_the_clients_own_stop_is_later() -> None:
     async with linked() as link:
         epochs, before = heard_epochs(link), STOP_EPOCHS.present

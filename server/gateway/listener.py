@@ -10,6 +10,7 @@ import logging
 import resource
 import socket
 import ssl
+import struct
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any, TypeAlias
 
 from protocol.send_queue import SendBudget
 from robot.logs import LogLimiter
+from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Access, unlimited
 from server.access.rate_limits import is_loopback
 from server.errors import ConfigurationError, StartError
@@ -36,6 +38,9 @@ log = logging.getLogger("armbridge.gateway")
 
 # Addresses that stand for all of this machine's.
 EVERY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 - compared with, not bound
+
+# Bytes of struct tcp_info (linux/tcp.h), and its member tcpi_unacked.
+TCP_INFO_BYTES, TCPI_UNACKED_AT = 104, 24
 
 CERTIFICATE, KEY = "server.tls_certificate", "server.tls_key"
 
@@ -199,6 +204,33 @@ Place: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]
 SPARE = 256
 
 
+class WaitingConnections:
+    """Connections that wait at a listening socket until they are accepted, in the order in which they came."""
+
+    def __init__(self, listening: socket.socket) -> None:
+        self.listening = listening
+        # Number of those that came before the last stop, and the epoch in which they count as arrived.
+        self._older, self._epoch = 0, 0
+
+    def date_unread(self) -> None:
+        """Note that those that wait now have come before a stop."""
+        try:
+            info = self.listening.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, TCP_INFO_BYTES)
+        except OSError:
+            return
+        if not self._older:
+            self._epoch = STOP_EPOCHS.present
+        # As tcp_get_info of net/ipv4/tcp.c fills tcpi_unacked for a socket that listens.
+        (self._older,) = struct.unpack_from("=I", info, TCPI_UNACKED_AT)
+
+    def accept(self) -> int:
+        """Count the next one that is accepted; return the stop epoch in which it came."""
+        if not self._older:
+            return STOP_EPOCHS.present
+        self._older -= 1
+        return self._epoch
+
+
 class Listener:
     """Listener on one TCP port of every address of a host; clients may ask for any path and query.
 
@@ -230,6 +262,7 @@ class Listener:
         self._limiter = ConnectionLimiter(settings)
         self._sockets: list[socket.socket] = []
         self._tcp_sockets: list[socket.socket] = []
+        self._waiting: list[WaitingConnections] = []
         # One a listening socket.
         self._servers: list[asyncio.Server] = []
         # Each connection from its `connection_made` to its `connection_lost`.
@@ -297,11 +330,14 @@ class Listener:
         addresses = [str(address[0]) for _, address in places]
         check_exposure(self._host, addresses, self._access.tokens, insecure=self._access.settings.insecure)
         self._sockets = listen(places, self._host, self._port)
+        self._waiting = [WaitingConnections(each) for each in self._sockets]
         self._port = self._sockets[0].getsockname()[1]
         if self._settings.tcp_port is not None:
             self._tcp_sockets = listen(places, self._host, self._settings.tcp_port, "--tcp-port")
             for each in self._tcp_sockets:
                 keep_alive(each, self._settings.ping_interval_s, self._settings.ping_timeout_s)
+            self._waiting += [WaitingConnections(each) for each in self._tcp_sockets]
+        STOP_EPOCHS.receivers.update(self._waiting)
 
     async def open(self) -> None:
         if not self._sockets:
@@ -311,12 +347,18 @@ class Listener:
             self._limiter.reduce(possible)
         self._clients.open()
         shared = self._settings, self._limiter, self._transports, self._serve_client
-        for each in self._sockets:
-            await self._serve_on(each, lambda: WebSocket(*shared, self.admission, self._http))
-        for each in self._tcp_sockets:
-            await self._serve_on(each, lambda: TcpStream(*shared, self._access.tokens.anonymous))
+        for each in self._waiting:
+            if each.listening in self._sockets:
+                await self._serve_on(each, lambda: WebSocket(*shared, self.admission, self._http))
+            else:
+                await self._serve_on(each, lambda: TcpStream(*shared, self._access.tokens.anonymous))
 
-    async def _serve_on(self, listening: socket.socket, make_transport: Callable[[], Transport]) -> None:
+    async def _serve_on(self, waiting: WaitingConnections, make_transport: Callable[[], Transport]) -> None:
+        def accept() -> Transport:
+            transport = make_transport()
+            transport.date_connection(waiting.accept())
+            return transport
+
         # asyncio refuses the time limits of TLS without it.
         tls: dict[str, Any] = {}
         if self._tls is not None:
@@ -326,7 +368,7 @@ class Listener:
                 "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
             }
         loop = asyncio.get_running_loop()
-        self._servers.append(await loop.create_server(make_transport, sock=listening, backlog=BACKLOG, **tls))
+        self._servers.append(await loop.create_server(accept, sock=waiting.listening, backlog=BACKLOG, **tls))
 
     def reload_certificate(self) -> None:
         if self._tls is None:
@@ -347,6 +389,7 @@ class Listener:
                     await transport.wait_ended()
         for transport in list(self._transports):
             transport.abort()
+        STOP_EPOCHS.receivers.difference_update(self._waiting)
         for each in (*self._sockets, *self._tcp_sockets):
             each.close()
         self._threads.close()

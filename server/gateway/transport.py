@@ -139,6 +139,10 @@ class Transport(asyncio.Protocol):
 
     # From the beginning to the end.
 
+    def date_connection(self, epoch: int) -> None:
+        """Note that the connection has come in a stop epoch, though it is accepted now."""
+        self._epoch = epoch
+
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Take a place among the connections."""
         # uvloop's transports have asyncio's methods, but not its classes.
@@ -155,6 +159,8 @@ class Transport(asyncio.Protocol):
             return
         self._transport.set_write_buffer_limits(WRITE_LIMIT_BYTES)
         self._transports.add(self)
+        if self._epoch < STOP_EPOCHS.present:
+            self._date_unread(self._epoch)
         STOP_EPOCHS.receivers.add(self)
         self._begin(self._slot.rejection)
 
@@ -246,6 +252,9 @@ class Transport(asyncio.Protocol):
 
     def date_unread(self) -> None:
         """Note that what the socket holds has arrived before a stop, which another connection has brought sooner."""
+        self._date_unread(STOP_EPOCHS.present)
+
+    def _date_unread(self, epoch: int) -> None:
         try:
             descriptor = self._transport.get_extra_info("socket").fileno()
             unread = int.from_bytes(fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4)), sys.byteorder)
@@ -256,7 +265,7 @@ class Transport(asyncio.Protocol):
         end = self.received_bytes + unread
         if unread and (not self._unread or self._unread[-1][0] < end):
             full = len(self._unread) >= MAX_UNREAD
-            self._unread.append((end, self._unread.pop()[1] if full else STOP_EPOCHS.present))
+            self._unread.append((end, self._unread.pop()[1] if full else epoch))
 
     def _dated(self, data: bytes) -> list[tuple[bytes, int | None]]:
         """Count what has been received, and part it by the stop epochs of its arrival, None for the present one."""

@@ -6,6 +6,7 @@ import gc
 import json
 import logging
 import select
+import socket
 import weakref
 from collections.abc import AsyncIterator
 from typing import NamedTuple
@@ -112,6 +113,7 @@ async def test_a_flood_is_carried_out_in_order_however_it_is_cut_and_however_lon
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each frame is carried out as it is handed over, also where the machine is busy."""
     monkeypatch.setattr(turns, "TURN_S", 60.0)
+    monkeypatch.setattr(transport, "TURN_S", 60.0)
     monkeypatch.setattr(turns, "ROUND_S", 60.0)
 
 
@@ -150,18 +152,41 @@ async def test_what_the_socket_held_unread_when_another_client_stopped_is_older_
         epochs, before = heard_epochs(link), STOP_EPOCHS.present
         link.server._transport.pause_reading()
         await link.client.send(publication("1").decode())
-        await link.client.send(publication("2").decode())
-        await until(
-            lambda: bool(select.select([link.server._transport.get_extra_info("socket").fileno()], [], [], 0)[0])
-        )
+        descriptor = link.server._transport.get_extra_info("socket").fileno()
+        await until(lambda: bool(select.select([descriptor], [], [], 0)[0]))
         STOP_EPOCHS.begin()
-        await link.client.send(publication("3").decode())
+        await link.client.send(publication("2").decode())
         link.server._transport.resume_reading()
+        await until(lambda: len(epochs) == 2)
+        await link.client.send(publication("3").decode())
         await until(lambda: len(epochs) == 3)
-        assert epochs == [before, before, before + 1]
-        await link.client.send(publication("4").decode())
-        await until(lambda: len(epochs) == 4)
-        assert epochs[3] == before + 1
+        assert epochs == [before, before + 1, before + 1]
+
+
+@pytest.mark.usefixtures("at_once")
+async def test_what_comes_on_a_connection_that_waited_to_be_accepted_when_a_stop_came_is_older() -> None:
+    graph = Graph(REGISTRY)
+    graph.advertise(TALKER, "/t", "std_msgs/String")
+    heard: dict[str, int] = {}
+
+    def hear(published: PublishedMessage) -> None:
+        heard[published.msg["data"]] = arrival_epoch()
+
+    graph.subscribe(TALKER, "/t", "std_msgs/String", Subscriber(hear))
+    listener = Listener(graph, ServerSettings(port=0))
+    await listener.bind()
+    with socket.create_connection(("127.0.0.1", listener.port)) as waiting:
+        before = STOP_EPOCHS.present
+        waiting.sendall(request(*UPGRADE) + frame(publication("waiting")))
+        STOP_EPOCHS.begin()
+        await listener.open()
+        await until(lambda: len(heard) == 1)
+        waiting.sendall(frame(publication("later")))
+        with socket.create_connection(("127.0.0.1", listener.port)) as new:
+            new.sendall(request(*UPGRADE) + frame(publication("new")))
+            await until(lambda: len(heard) == 3)
+        await listener.close()
+    assert heard == {"waiting": before, "later": before + 1, "new": before + 1}
 
 
 @pytest.mark.usefixtures("at_once")

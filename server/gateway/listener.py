@@ -224,7 +224,7 @@ class WaitingConnections:
         (self._older,) = struct.unpack_from("=I", info, TCPI_UNACKED_AT)
 
     def accept(self) -> int:
-        """Count the next one that is accepted; return the stop epoch in which it came."""
+        """Count the next connection, and return the stop epoch in which it came."""
         if not self._older:
             return STOP_EPOCHS.present
         self._older -= 1

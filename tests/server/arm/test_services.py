@@ -164,9 +164,12 @@ async def test_a_speed_factor_is_passed_on_if_it_is_a_share(desk: Desk, caplog: 
 async def test_a_motion_is_paused_goes_back_and_arrives_after_all(client: ArmClient) -> None:
     await pan_to(client, 0.0)
     await results(client)
+    # So slow that no busy machine sees its end before the pause.
+    await client.say("publish", topic=SPEED_FACTOR_TOPIC, msg={"data": 0.1})
     await pan_to(client, 1.2)
     await client.until("/joint_states", lambda states: states[-1]["position"][0] > 0.3)
     assert (await client.call(PAUSE))["success"]
+    await client.say("publish", topic=SPEED_FACTOR_TOPIC, msg={"data": 1.0})
     await client.until("/arm/state", lambda states: values_of(states[-1])["course"] == "paused")
     standing = (await client.until("/joint_states", lambda states: abs(states[-1]["velocity"][0]) < 0.02))[-1]
     assert (await client.call(STEP_BACK))["success"]

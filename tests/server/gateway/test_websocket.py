@@ -198,7 +198,7 @@ async def test_what_the_socket_held_unread_behind_the_clients_own_stop_is_later(
         for each in ("stop", *["x" * 2_000] * 199):
             await link.client.send(publication(each).decode())
         link.server._transport.resume_reading()
-        await until(lambda: len(epochs) == 200)
+        await link.received(200)
         assert epochs == [before, *[before + 1] * 199]
 
 

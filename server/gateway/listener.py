@@ -208,14 +208,14 @@ class WaitingConnections:
     """Connections that wait at a listening socket until they are accepted, in the order in which they came."""
 
     def __init__(self, listening: socket.socket) -> None:
-        self.listening = listening
+        self._listening = listening
         # Number of those that came before the last stop, and the epoch in which they count as arrived.
         self._older, self._epoch = 0, 0
 
     def date_unread(self) -> None:
         """Note that those that wait now have come before a stop."""
         try:
-            info = self.listening.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, TCP_INFO_BYTES)
+            info = self._listening.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, TCP_INFO_BYTES)
         except OSError:
             return
         if not self._older:
@@ -262,7 +262,7 @@ class Listener:
         self._limiter = ConnectionLimiter(settings)
         self._sockets: list[socket.socket] = []
         self._tcp_sockets: list[socket.socket] = []
-        self._waiting: list[WaitingConnections] = []
+        self._waiting: dict[socket.socket, WaitingConnections] = {}
         # One a listening socket.
         self._servers: list[asyncio.Server] = []
         # Each connection from its `connection_made` to its `connection_lost`.
@@ -330,14 +330,13 @@ class Listener:
         addresses = [str(address[0]) for _, address in places]
         check_exposure(self._host, addresses, self._access.tokens, insecure=self._access.settings.insecure)
         self._sockets = listen(places, self._host, self._port)
-        self._waiting = [WaitingConnections(each) for each in self._sockets]
         self._port = self._sockets[0].getsockname()[1]
         if self._settings.tcp_port is not None:
             self._tcp_sockets = listen(places, self._host, self._settings.tcp_port, "--tcp-port")
             for each in self._tcp_sockets:
                 keep_alive(each, self._settings.ping_interval_s, self._settings.ping_timeout_s)
-            self._waiting += [WaitingConnections(each) for each in self._tcp_sockets]
-        STOP_EPOCHS.receivers.update(self._waiting)
+        self._waiting = {each: WaitingConnections(each) for each in (*self._sockets, *self._tcp_sockets)}
+        STOP_EPOCHS.receivers.update(self._waiting.values())
 
     async def open(self) -> None:
         if not self._sockets:
@@ -347,16 +346,15 @@ class Listener:
             self._limiter.reduce(possible)
         self._clients.open()
         shared = self._settings, self._limiter, self._transports, self._serve_client
-        for each in self._waiting:
-            if each.listening in self._sockets:
-                await self._serve_on(each, lambda: WebSocket(*shared, self.admission, self._http))
-            else:
-                await self._serve_on(each, lambda: TcpStream(*shared, self._access.tokens.anonymous))
+        for each in self._sockets:
+            await self._serve_on(each, lambda: WebSocket(*shared, self.admission, self._http))
+        for each in self._tcp_sockets:
+            await self._serve_on(each, lambda: TcpStream(*shared, self._access.tokens.anonymous))
 
-    async def _serve_on(self, waiting: WaitingConnections, make_transport: Callable[[], Transport]) -> None:
+    async def _serve_on(self, listening: socket.socket, make_transport: Callable[[], Transport]) -> None:
         def accept() -> Transport:
             transport = make_transport()
-            transport.date_connection(waiting.accept())
+            transport.date_connection(self._waiting[listening].accept())
             return transport
 
         # asyncio refuses the time limits of TLS without it.
@@ -368,7 +366,7 @@ class Listener:
                 "ssl_shutdown_timeout": TLS_SHUTDOWN_TIMEOUT_S,
             }
         loop = asyncio.get_running_loop()
-        self._servers.append(await loop.create_server(accept, sock=waiting.listening, backlog=BACKLOG, **tls))
+        self._servers.append(await loop.create_server(accept, sock=listening, backlog=BACKLOG, **tls))
 
     def reload_certificate(self) -> None:
         if self._tls is None:
@@ -389,7 +387,7 @@ class Listener:
                     await transport.wait_ended()
         for transport in list(self._transports):
             transport.abort()
-        STOP_EPOCHS.receivers.difference_update(self._waiting)
+        STOP_EPOCHS.receivers.difference_update(self._waiting.values())
         for each in (*self._sockets, *self._tcp_sockets):
             each.close()
         self._threads.close()

@@ -37,11 +37,13 @@ def test_live_commands_are_answered_while_the_bus_runs(terminal, line):
 def test_an_emulator_let_go_serves_on_until_the_bus_is_silent(terminal, line):
     terminal.let_go()
     let_go_s = time.monotonic()
-    while time.monotonic() < let_go_s + 1.2 * LINGER_S:
+    asked_s = let_go_s
+    while asked_s < let_go_s + 0.2 * LINGER_S:
+        asked_s = time.monotonic()
         assert line.ping(1) == 777
-    silent_from_s = time.monotonic()
     assert terminal.process.wait(TIMEOUT_S) == 0
-    assert time.monotonic() - silent_from_s > 0.9 * LINGER_S
+    # It heard the last ping after that was asked, however long this process then waited for its turn.
+    assert time.monotonic() - asked_s >= LINGER_S
 
 
 def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller(terminal, line):

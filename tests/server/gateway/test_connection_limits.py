@@ -5,12 +5,11 @@ from http import HTTPStatus
 import pytest
 from websockets.asyncio.client import connect
 
-from harness.waiting import until
 from server.access.rate_limits import client_key
 from server.gateway import admission as admission_module
 from server.gateway.admission import ANSWERS_PER_S, BURST_TIME_S, MAX_ANSWERED, ConnectionLimiter, ConnectionSlot
 from server.gateway.settings import ServerSettings
-from tests.helpers.gateway import TIMEOUT_S, connected, exchange, limiter_of, listening, request, status, until_empty
+from tests.helpers.gateway import TIMEOUT_S, limiter_of, listening, until_empty
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
 MANY = 100_000
@@ -132,23 +131,6 @@ def test_a_flood_from_an_address_without_a_connection_is_remembered(monkeypatch:
 
 # Addresses of one machine, each with its own count.
 OTHER = ("127.0.0.2", 0)
-
-
-async def test_a_client_beyond_the_limit_is_answered_and_connects_when_there_is_room() -> None:
-    async with listening(ServerSettings(port=0, max_clients_per_address=2)) as listener:
-        url = f"ws://127.0.0.1:{listener.port}"
-        async with connect(url), connected(listener.port):
-            # One counts before it asks for anything.
-            await until(lambda: limiter_of(listener).open_count == 2)
-            answer = await exchange(listener.port, request("Upgrade: websocket"))
-            assert status(answer) == 429
-            assert "Retry-After: 5\r\n" in answer
-            assert "the limit is 2 (server.max_clients_per_address)" in answer
-            async with connect(url, local_addr=OTHER):
-                pass
-        await until_empty(listener)
-        async with connect(url):
-            pass
 
 
 async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(caplog: pytest.LogCaptureFixture) -> None:

@@ -12,8 +12,6 @@ from dataclasses import replace
 from http import HTTPStatus
 from pathlib import Path
 from types import MappingProxyType
-from urllib.parse import urljoin
-from urllib.request import urlopen
 
 import pytest
 from websockets.datastructures import Headers
@@ -184,14 +182,6 @@ async def test_a_robot_s_files_may_be_read_by_pages_of_other_origins_and_the_pag
     robot = ("/robot/description.urdf", f"/robot/{PACKAGE}/assets/base.stl", "/robot/nothing")
     for path, origins in {**dict.fromkeys(robot, "*"), "/": None}.items():
         assert (await site.ask(path))[0].headers["Access-Control-Allow-Origin"] == origins
-
-
-async def test_compas_fab_finds_the_meshes_that_the_description_names(site: Site) -> None:
-    # What compas_fab 2's HttpFileServerLoader does with `http_file_server_base_url`.
-    base_url, url = f"http://127.0.0.1:{site.port}/robot/", f"package://{PACKAGE}/assets/base.stl"
-    assert url.encode() in (await site.ask("/robot/description.urdf"))[1]
-    with await asyncio.to_thread(urlopen, urljoin(base_url, url.removeprefix("package://")), timeout=TIMEOUT_S) as mesh:
-        assert mesh.read() == MESH
 
 
 async def test_a_file_that_is_too_large_is_told_once_with_the_limit(

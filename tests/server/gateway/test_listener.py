@@ -12,7 +12,6 @@ import pytest
 import uvloop
 from websockets.asyncio.client import connect
 
-from protocol.limits import Limits
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError, StartError
@@ -245,16 +244,6 @@ def test_clients_that_come_at_once_are_told_of_together_until_the_end_and_a_late
 async def listener() -> AsyncIterator[Listener]:
     async with listening() as made:
         yield made
-
-
-async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on() -> None:
-    settings = ServerSettings(port=0, limits=Limits(max_message_bytes=100_000))
-    async with listening(settings) as made, connect(made.url) as websocket:
-        await say(websocket, "set_level", level="error")
-        await websocket.send("x" * 100_001)
-        told = await receive(websocket)
-        await asyncio.wait_for(await websocket.ping(), TIMEOUT_S)
-    assert told == {"op": "status", "level": "error", "msg": "message of 100001 bytes, the limit is 100000"}
 
 
 async def test_an_address_that_others_reach_is_not_even_bound_without_a_word_about_it() -> None:

@@ -3,7 +3,6 @@ from typing import Any
 
 import pytest
 
-from harness.clients import ArmClient
 from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.messages import ArmState, Mode
 from server.graph.topics import Graph
@@ -125,11 +124,3 @@ async def test_events_without_end_do_not_fill_the_memory(world: World) -> None:
         world.report(after_s=0.1, warnings=(ServoWarning(ServoAlert.WARM, f"warm: {number} degC"),))
         world.report(after_s=0.1)
     assert len(world.asked()["events"]) == MAX_EVENTS
-
-
-async def test_a_client_asks_a_running_server_for_the_history_of_a_servo(client: ArmClient) -> None:
-    await client.until("/diagnostics", lambda arrays: len(arrays[-1]["status"]) > 1)
-    told = await client.call(SERVICE, joint="elbow_flex")
-    assert told["success"], told
-    assert len(told["temperature_c"]) == len(told["time_s"]) > 0
-    assert all(0.0 < volts < 10.0 for volts in told["voltage_v"])

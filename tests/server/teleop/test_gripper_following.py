@@ -6,22 +6,14 @@ Server, supervisor and controller are the real ones, in stepped time; the joints
 import asyncio
 import math
 from collections.abc import AsyncIterator, Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from protocol.publication import PublishedMessage
 from robot.control.pacing import PERIOD_S
-from server.datasets.export import ExportOptions, export
-from server.datasets.samples import LEADER_TOPIC, STATE_TOPIC
-from server.graph.permissions import Node
-from server.graph.topics import Subscriber
-from server.recording.files import RecordedMessage
 from tests.helpers.arm_rig import NAMES
 from tests.helpers.messages import time_message
 from tests.helpers.stage import RecordedStage, inline_threads
-from tests.server.recordings import REGISTRY, START_NS, entry, record
 
 pytestmark = pytest.mark.stepped_time
 
@@ -69,29 +61,6 @@ async def test_the_gripper_follows_within_a_tenth_of_a_second(led: Led) -> None:
     # At its fastest the leader goes this far in the time.
     assert behind.max() < LAG_S * 0.5 * 2.0 * math.pi * 0.5
     assert np.ptp(goals) > 0.9
-
-
-async def test_a_dataset_has_the_gripper_within_a_tenth_of_a_second_of_its_action(led: Led, tmp_path: Path) -> None:
-    parquet = pytest.importorskip("pyarrow.parquet", reason="the extra [datasets] is not installed: no pyarrow")
-    loop = asyncio.get_running_loop()
-    began_s = loop.time()
-    recorded: list[RecordedMessage] = []
-
-    def take(published: PublishedMessage) -> None:
-        # The wall clock of stamps is no stepped time: without stamps the time of recording counts.
-        message = {**published.msg, "header": {}}
-        recorded.append(entry(published.topic, "sensor_msgs/JointState", message, loop.time() - began_s))
-
-    for topic in (STATE_TOPIC, LEADER_TOPIC):
-        led.stage.graph.subscribe(Node("recorder"), topic, "sensor_msgs/JointState", Subscriber(take))
-    await led.lead(SETTLED_S + 4.0, opening)
-    recording = record(tmp_path / "run.mcap", [each for each in recorded if each.log_time_ns > START_NS + 1.5e9])
-    done = export(ExportOptions([recording], tmp_path / "data", fps=50), REGISTRY, lambda _text: None)
-    assert (done.actions, done.problems) == (LEADER_TOPIC, ())
-    rows = parquet.read_table(tmp_path / "data/data/chunk-000/file-000.parquet").to_pylist()
-    states, actions = (np.array([row[name] for row in rows])[:, GRIPPER] for name in ("observation.state", "action"))
-    assert np.ptp(states) > 0.9
-    assert np.abs(states - actions).max() < LAG_S * 0.5 * 2.0 * math.pi * 0.5
 
 
 async def test_a_gripper_that_another_client_moved_follows_when_the_leader_moves_on(led: Led) -> None:

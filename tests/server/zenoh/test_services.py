@@ -5,7 +5,6 @@ import pytest
 import zenoh
 
 from harness.waiting import until
-from server.access.settings import AccessSettings
 from server.errors import ServiceError
 from server.zenoh import services
 from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, networked
@@ -92,14 +91,6 @@ async def test_a_viewing_network_is_told_the_missing_role_but_may_stop_the_arm()
     assert requests == []
     assert "needs the role operate" in failure(refused)
     assert stopped.ok is not None
-
-
-async def test_a_service_that_moves_the_arm_needs_control_of_it() -> None:
-    async with networked(offer=("/arm/*",), access=AccessSettings(control="lease")) as (site, machine):
-        offered(site, "/arm/enable")
-        site.access.lease.drive(site.client, asyncio.get_running_loop().time())
-        (reply,) = await replies(machine, "/arm/enable")
-    assert "client has controlled the arm since" in failure(reply)
 
 
 async def test_of_too_many_calls_those_beyond_are_refused_but_no_stop(monkeypatch: pytest.MonkeyPatch) -> None:

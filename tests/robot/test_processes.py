@@ -27,14 +27,13 @@ def test_the_delay_before_a_start_follows_how_long_the_processes_ran(ran_s: list
 
 
 @given(st.lists(st.binary(max_size=300), max_size=8), st.integers(min_value=1, max_value=50))
-def test_messages_survive_any_cutting_of_the_stream(messages: list[bytes], size: int) -> None:
+def test_messages_survive_any_cutting_of_the_stream_and_one_over_the_limit_is_refused_by_either_end(
+    messages: list[bytes], size: int
+) -> None:
     stream = b"".join(encode(message) for message in messages)
     decoder = Decoder()
     got = [m for start in range(0, len(stream), size) for m in decoder.feed(stream[start : start + size])]
     assert got == messages
-
-
-def test_a_message_over_the_limit_is_refused_by_either_end() -> None:
     for refused in (lambda: Decoder().feed(b"\xff\xff\xff\xff"), lambda: encode(bytes(MAX_MESSAGE_BYTES))):
         with pytest.raises(ValueError, match="over the limit"):
             refused()
@@ -47,17 +46,7 @@ def pair() -> Iterator[tuple[Channel, Channel]]:
         yield Channel(ours), Channel(theirs)
 
 
-def test_a_channel_notices_that_the_other_end_is_gone() -> None:
-    ours, theirs = socket.socketpair()
-    channel = Channel(ours)
-    theirs.close()
-    assert channel.receive_first() is None
-    assert channel.closed
-    channel.send("nobody hears this")
-    ours.close()
-
-
-def test_a_channel_waits_no_longer_than_its_timeout_and_what_comes_right_behind_the_first_message_is_not_lost(
+def test_a_channel_waits_no_longer_than_its_timeout_loses_nothing_and_notices_that_the_other_end_is_gone(
     pair: tuple[Channel, Channel],
 ) -> None:
     child, server = pair
@@ -66,6 +55,10 @@ def test_a_channel_waits_no_longer_than_its_timeout_and_what_comes_right_behind_
         server.send(number)
     assert child.receive_first() == 0
     assert (child.receive(0.0), child.receive(0.0)) == ([1, 2], [])
+    server._socket.close()
+    assert child.receive_first() is None
+    assert child.closed
+    child.send("nobody hears this")
 
 
 def test_to_a_server_that_does_not_read_only_what_may_not_be_dropped_is_kept(pair: tuple[Channel, Channel]) -> None:

@@ -321,9 +321,7 @@ def test_only_whole_replies_in_their_turn_are_believed():
 
 
 @given(st.integers(0, 0xFD), st.integers(1, 0x83), st.binary(max_size=60))
-def test_an_instruction_is_laid_out_as_the_servos_read_it_and_none_is_longer_than_sent(
-    servo_id, code, parameters
-):
+def test_an_instruction_is_laid_out_as_the_servos_read_it_and_none_is_longer_than_sent(servo_id, code, parameters):
     packet = instruction_packet(servo_id, code, parameters)
     packet[:2] = [0xFF, 0xFF]
     packet[-1] = checksum(bytes(packet[2:-1]))

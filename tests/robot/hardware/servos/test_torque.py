@@ -55,9 +55,7 @@ def torques(family: Family, emulator: Any) -> list[int]:
     return family.values(emulator, "TORQUE_ENABLE")
 
 
-def test_torque_comes_on_low_and_slowly_without_a_jump(
-    family: Family, emulator: Any, torque: ServoTorque
-) -> None:
+def test_torque_comes_on_low_and_slowly_without_a_jump(family: Family, emulator: Any, torque: ServoTorque) -> None:
     before, farthest = positions(emulator), 0.0
     highest_at: list[tuple[float, float]] = []
     sent = [torque._bus.counters.sent]

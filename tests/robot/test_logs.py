@@ -102,9 +102,7 @@ class Child:
         return
 
 
-def test_not_more_loggers_are_changed_than_there_may_be_and_a_child_without_reference_is_forgotten(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_loggers_that_are_changed_are_bounded_and_children_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logs, "_changed", {})
     changes = [logs.LoggerLevel(f"{NAME}.l{number}", 0) for number in range(logs.MAX_CHANGED_LOGGERS + 1)]
     assert [logs.change(each) for each in changes] == [True] * logs.MAX_CHANGED_LOGGERS + [False]
@@ -229,9 +227,7 @@ def test_a_lock_that_another_process_has_is_refused_with_its_number_and_free_aft
         FileLock(path).acquire()
 
 
-def test_a_lock_is_waited_for_no_longer_than_its_time_and_taken_when_it_is_given_back(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lock_is_waited_for_no_longer_than_its_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held = FileLock(path)
     held.acquire()
     times = iter((0.0, 1.0, 1.9, 2.0))
@@ -249,9 +245,7 @@ def test_a_lock_is_waited_for_no_longer_than_its_time_and_taken_when_it_is_given
         pass
 
 
-def test_a_file_is_replaced_as_a_whole_nothing_is_left_beside_it_and_its_names_have_one_lock(
-    tmp_path: Path,
-) -> None:
+def test_a_file_is_replaced_as_a_whole_and_all_its_names_have_one_lock(tmp_path: Path) -> None:
     path, link = tmp_path / "states.json", tmp_path / "link.json"
     for content in (b"old", b"new"):
         replace(path, content)

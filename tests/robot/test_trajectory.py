@@ -41,9 +41,7 @@ LIMIT = st.floats(0.05, 20.0)
 
 
 @given(POSITION, POSITION, LIMIT, LIMIT)
-def test_a_motion_goes_from_rest_to_rest_within_its_limits_and_none_is_shorter(
-    start: float, end: float, speed: float, push: float
-) -> None:
+def test_a_motion_from_rest_to_rest_is_as_short_as_can_be(start: float, end: float, speed: float, push: float) -> None:
     motion = rest_to_rest("jaw", start, end, speed, push)
     assert motion.positions_rad[-1, 0] == pytest.approx(end)
     assert motion.velocities_rad_s[0, 0] == motion.velocities_rad_s[-1, 0] == 0.0

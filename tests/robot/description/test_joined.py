@@ -92,9 +92,7 @@ SRDF = '<robot name="Mesh Arm"><group name="arm"><chain base_link="base" tip_lin
 
 
 @pytest.mark.parametrize("place", ["package://mesh_arm/meshes", "../meshes"])
-def test_meshes_are_found_from_the_description_of_all_and_arms_with_meshes_alone_checked_at_any_distance(
-    tmp_path: Path, place: str
-) -> None:
+def test_meshes_are_found_from_the_description_of_all_and_their_reach_is_unknown(tmp_path: Path, place: str) -> None:
     urdf = write_package(tmp_path)
     urdf.write_text(urdf.read_text().replace("package://mesh_arm/meshes", place))
     (tmp_path / "arm.srdf").write_text(SRDF)

@@ -152,9 +152,7 @@ def test_a_passive_joint_is_held_where_it_is_least_turned() -> None:
         assert after[link] == pytest.approx(transform, abs=1e-12)
 
 
-def test_the_group_of_goals_is_the_arm_else_the_first_chain_or_without_a_group_the_longest_and_a_line_in_the_log(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_the_group_of_goals_is_the_arm_else_the_first_or_longest_chain(caplog: pytest.LogCaptureFixture) -> None:
     pair = '<group name="pair"><joint name="grip"/><joint name="press"/></group>'
     assert hand_of(pair, HAND, ARM).default_group == "arm"
     assert hand_of(pair, ARM.replace('"arm"', '"lift"')).default_group == "lift"
@@ -188,9 +186,7 @@ def test_every_link_is_where_pinocchio_has_it_and_stands_on_its_parent_or_the_ro
         placements.joint_transform(arm.root_link, {})
 
 
-def test_limits_never_exceed_the_calibrated_range_less_the_margin_nor_what_a_servo_can_follow(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_limits_never_exceed_calibrated_ranges_nor_what_servos_follow(caplog: pytest.LogCaptureFixture) -> None:
     robot, (first, second, *others) = so101(), nominal_calibration().joints
     short = replace(second, range_min=1500, range_max=2500)
     joint = within_calibration(robot, Calibration((first, short, *others))).joints["shoulder_lift"]
@@ -234,9 +230,7 @@ def package(tmp_path: Path) -> Path:
 URL = "package://arm_description/meshes/b.stl"
 
 
-def test_a_mesh_is_found_beside_the_urdf_by_url_or_path_and_in_a_package_around_it_beside_another_or_given(
-    package: Path, tmp_path: Path
-) -> None:
+def test_a_mesh_is_found_beside_the_urdf_by_url_or_in_a_package(package: Path, tmp_path: Path) -> None:
     other, elsewhere, mesh = package.parent / "cell" / "urdf", tmp_path / "elsewhere", package / "meshes" / "b.stl"
     other.mkdir(parents=True)
     for name, beside, given in (

@@ -196,9 +196,7 @@ def test_a_wrong_key_or_value_is_named(tmp_path: Path, text: str, sentence: str)
 
 
 @pytest.mark.parametrize(("key", "value"), [("id", "7"), ("joint", "'a'")])
-def test_two_servos_of_one_id_or_joint_and_a_file_that_is_not_there_are_named(
-    tmp_path: Path, key: str, value: str
-) -> None:
+def test_two_servos_of_one_id_or_joint_and_a_missing_file_are_named(tmp_path: Path, key: str, value: str) -> None:
     with pytest.raises(RobotFileError, match=r"robot\.toml cannot be read"):
         read(tmp_path / "robot.toml")
     rows = ({"joint": "'a'", "id": "1", key: value}, {"joint": "'b'", "id": "2", key: value})

@@ -52,9 +52,7 @@ def test_servos_start_relaxed_where_they_are_put_inside_their_mechanical_stops(k
 
 
 @OF_BOTH_FAMILIES
-def test_driven_servos_hold_where_they_are_at_their_torque_limits_also_while_the_hardware_is_closed(
-    kind: str, clock: SteppedClock
-) -> None:
+def test_driven_servos_hold_also_while_the_hardware_is_closed(kind: str, clock: SteppedClock) -> None:
     source = emulated_arm(kind, clock, start_rad={"shoulder_lift": -0.5}, driven=True)
     hardware = source.open()
     before = position_rad(hardware)

@@ -102,9 +102,7 @@ def test_a_frozen_adapter_takes_and_gives_nothing_until_it_goes_on(adapter, clie
 
 
 @pytest.mark.parametrize("renamed", [False, True])
-def test_an_adapter_that_is_pulled_takes_port_and_link_away_and_has_dropped_its_queue_when_it_is_back(
-    adapter, client, tmp_path, renamed
-):
+def test_an_adapter_that_is_pulled_takes_port_link_and_queue_away(adapter, client, tmp_path, renamed):
     before = adapter.port
     adapter.take(BURST)
     adapter.unplug()
@@ -330,9 +328,7 @@ def rehearsed(*arguments: str) -> Rehearsal:
     return process.build_rehearsal(options_parser().parse_args(arguments), bus_of())
 
 
-def test_a_rehearsal_is_that_of_the_arm_which_is_emulated_and_either_kind_of_script_can_be_repeated(
-    tmp_path: Path,
-) -> None:
+def test_a_rehearsal_is_that_of_the_emulated_arm_and_any_script_can_be_repeated(tmp_path: Path) -> None:
     save(MEASURED, tmp_path / "arm.json")
     for name in REHEARSALS:
         assert rehearsed("--rehearse", name).commands == REHEARSALS[name](NOMINAL)

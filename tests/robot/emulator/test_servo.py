@@ -79,9 +79,7 @@ def test_heat_and_a_wrong_supply_are_reported(family: Family, quantity: str, val
 
 
 @given(st.lists(st.tuples(st.integers(0, 90), st.binary(min_size=1, max_size=20)), max_size=10))
-def test_a_value_is_always_that_of_the_bytes_and_beyond_the_range_of_its_register_the_largest(
-    writes: list[tuple[int, bytes]],
-) -> None:
+def test_a_value_is_always_that_of_the_bytes_at_most_the_largest(writes: list[tuple[int, bytes]]) -> None:
     memory = Memory(TABLE, MEMORY_BYTES)
     for address, data in writes:
         memory.write(address, data)

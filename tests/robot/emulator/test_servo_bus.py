@@ -87,9 +87,7 @@ def test_any_instruction_and_any_bytes_at_all_leave_the_servos_able_to_answer(
 
 
 @OF_BOTH_FAMILIES
-def test_an_instruction_is_answered_by_its_servo_a_broadcast_by_none_and_a_ping_by_all(
-    family: Family, wire: Wire
-) -> None:
+def test_an_instruction_is_answered_by_its_servo_and_a_broadcast_ping_by_all(family: Family, wire: Wire) -> None:
     replies = [wire.status(servo.servo_id, servo.ping()) for servo in wire.servos]
     assert (wire.ask(3, PING), wire.ask(9, PING), wire.ask(ALL, PING)) == (replies[2], b"", b"".join(replies))
     assert wire.ask(2, READ, family.block("ID")) == wire.status(2, b"\x02")
@@ -125,9 +123,7 @@ def test_a_kept_write_waits_for_the_action_and_does_not_outlive_a_power_cut(fami
 
 
 @OF_BOTH_FAMILIES
-def test_an_instruction_for_a_servo_that_is_offline_or_lost_is_not_carried_out_but_one_whose_reply_is_lost(
-    family: Family, wire: Wire
-) -> None:
+def test_an_instruction_that_is_lost_is_not_carried_out_unlike_a_lost_reply(family: Family, wire: Wire) -> None:
     torque_on, faults = family.assignment("TORQUE_ENABLE", 1), wire.bus.faults
     faults.offline = {2}
     assert wire.ask(2, PING) == b""
@@ -272,9 +268,7 @@ def test_an_instruction_that_makes_no_sense_does_nothing_and_is_an_error_of_a_dy
     assert dynamixels.ask(2, 0x92, b"\x01") == dynamixels.status(2, error=INSTRUCTION_ERROR)
 
 
-def test_a_restore_brings_back_what_was_backed_up_for_good_and_keeps_the_id_and_a_reset_of_turns_changes_nothing(
-    feetechs,
-):
+def test_a_restore_brings_back_what_was_backed_up_for_good_but_the_id(feetechs):
     servo = feetechs.servos[0]
     servo.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(1234))
     assert feetechs.ask(1, RESET) == feetechs.status(1)

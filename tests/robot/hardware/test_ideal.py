@@ -90,9 +90,7 @@ def test_no_joint_is_faster_than_its_velocity_limit(joint: str, goal: float, mos
 
 
 @pytest.mark.parametrize(("driven", "goal_rad"), [(True, [0.0, 0.3, 0.4]), (False, [math.nan] * 3)])
-def test_a_survey_finds_an_arm_that_holds_with_goals_or_relaxed_without_and_readings_have_what_it_has(
-    driven: bool, goal_rad: list[float]
-) -> None:
+def test_a_survey_finds_an_arm_that_holds_with_goals_or_relaxed(driven: bool, goal_rad: list[float]) -> None:
     rig = IdealRig(start_rad={"shoulder": 0.3}, driven=driven)
     found = run_to_end(rig.arm.survey())
     assert found.driven.tolist() == [driven] * 3

@@ -44,9 +44,7 @@ def port(line):
     opened.closePort()
 
 
-def test_a_port_that_does_not_exist_or_that_another_has_open_and_a_rate_that_no_servo_knows_are_refused(
-    line, port, tmp_path
-):
+def test_a_port_that_does_not_exist_or_is_busy_and_a_rate_no_servo_knows_are_refused(line, port, tmp_path):
     path = str(tmp_path / "ttyACM0")
     with pytest.raises(PortError, match=f"{path} does not exist"):
         open_port(path, BAUDRATE)

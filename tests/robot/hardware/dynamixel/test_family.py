@@ -98,9 +98,7 @@ def test_a_firmware_without_watchdog_is_a_warning_and_driven_without(dynamixels:
     assert [servos.hardware.check(0.0) for _ in range(12 * CYCLES_BETWEEN)] == [None] * 12 * CYCLES_BETWEEN
 
 
-def test_a_servo_keeps_to_its_own_limits_in_position_mode_only_and_else_ends_before_turns_become_ambiguous(
-    dynamixels: SteppedDynamixels,
-) -> None:
+def test_limits_are_the_servos_in_position_mode_or_end_before_ambiguous_turns(dynamixels: SteppedDynamixels) -> None:
     wide = replace(BOUNDS, lower_rad=np.full(6, -7.0), upper_rad=np.full(6, 7.0))
     bounds = run_to_end(unread_hardware(dynamixels, bounds=wide).survey()).bounds
     assert max(bounds.upper_rad[:5]) < math.pi - 0.3
@@ -126,9 +124,7 @@ def test_a_servo_that_counts_turns_holds_and_goes_to_goals_in_its_turns(dynamixe
     assert servos.read(0.4).position_rad[2] == pytest.approx(1.2, abs=0.01)
 
 
-def test_servos_that_hold_have_watchdog_profile_and_limits_of_their_own_if_these_are_lower(
-    dynamixels: SteppedDynamixels,
-) -> None:
+def test_servos_that_hold_have_watchdog_profile_and_limits(dynamixels: SteppedDynamixels) -> None:
     for servo, register, value in ((3, Register.PWM_LIMIT, 500), (3, Register.GOAL_PWM, 500)):
         dynamixels.servo(servo).write(register, register.encode(value))
     DynamixelsInUse(dynamixels).enable()
@@ -268,9 +264,7 @@ def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, dynamixels
     assert bus.read(3, Register.BUS_WATCHDOG) == 0
 
 
-def test_replies_left_on_the_line_or_too_late_are_not_taken_for_the_next(
-    bus: Bus, dynamixels: SteppedDynamixels
-) -> None:
+def test_replies_left_on_the_line_or_late_are_not_taken_for_others(bus: Bus, dynamixels: SteppedDynamixels) -> None:
     dynamixels.port.writePort(packet(3, INST_READ, bytes([Register.ID, 0, 1, 0])))
     assert bus.read(3, Register.TORQUE_ENABLE) == 0
     assert bus.counters.discarded_bytes == len(DYNAMIXEL.status_packet(3, 0, bytes([1])))
@@ -283,9 +277,7 @@ def test_replies_left_on_the_line_or_too_late_are_not_taken_for_the_next(
     assert bus.read(3, Register.TORQUE_ENABLE) == 0
 
 
-def test_a_stuffed_byte_is_no_noise_and_a_hardware_error_no_error_of_the_instruction_as_a_value_not_taken_is(
-    bus: Bus, dynamixels: SteppedDynamixels
-) -> None:
+def test_a_stuffed_byte_is_no_noise_and_a_hardware_error_none_of_it(bus: Bus, dynamixels: SteppedDynamixels) -> None:
     # FF FF FD FF little endian needs one.
     dynamixels.servo(3).write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(-131073))
     assert bus.read(3, Register.GOAL_POSITION) == -131073

@@ -52,9 +52,7 @@ def test_a_servo_is_as_strong_as_its_settings_and_without_a_threshold_it_is_not_
     assert strength.overload_current_a == pytest.approx([np.inf, *[3.25] * 4, 1.625])
 
 
-def test_a_setting_that_differs_from_the_profile_of_the_arm_or_the_nearest_is_told(
-    bus: Bus,
-) -> None:
+def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bus: Bus) -> None:
     before = bus.counters.sent
     found = surveyed(bus, Feetech(LEROBOT))
     # The model, the settings, and the commands.
@@ -95,9 +93,7 @@ def test_a_deviating_setting_is_told_and_another_mode_refused(
     assert words in warning.sentence
 
 
-def test_the_soft_limits_are_narrowed_to_what_the_servos_allow_which_is_every_goal_without_limits(
-    emulator: SteppedEmulator,
-) -> None:
+def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: SteppedEmulator) -> None:
     bus = emulator.open_bus()
     bus.write(1, Register.MAX_ANGLE_LIMIT, CALIBRATION.joints[0].ticks_from_rad(0.5))
     found = FeetechsInUse(emulator).found
@@ -108,9 +104,7 @@ def test_the_soft_limits_are_narrowed_to_what_the_servos_allow_which_is_every_go
     assert FeetechsInUse(emulator).found.bounds.upper_rad == pytest.approx(BOUNDS.upper_rad)
 
 
-def test_a_servo_is_asked_for_no_more_than_it_is_set_to_give_and_goals_have_acceleration_and_velocity_cap(
-    emulator: SteppedEmulator,
-) -> None:
+def test_a_servo_is_asked_for_no_more_than_it_is_set_to_give(emulator: SteppedEmulator) -> None:
     emulator.open_bus().write(2, Register.MAX_TORQUE, 600)
     hardware = FeetechsInUse(emulator).hardware
     assert hardware.full_torque == pytest.approx([0.8, 0.6, 0.8, 0.8, 0.8, 0.5])

@@ -59,9 +59,7 @@ def test_a_sequence_asks_again_when_a_reply_is_lost_and_gives_up_after_some_atte
         assert bus.counters.sent - sent == STEP_ATTEMPTS
 
 
-def test_a_write_is_verified_though_its_acknowledgement_is_lost_and_a_value_that_does_not_stay_is_named(
-    family: Family,
-) -> None:
+def test_a_write_is_verified_though_its_acknowledgement_is_lost(family: Family) -> None:
     emulator = family.emulator()
     bus, registers = emulator.open_bus(), family.registers.Register
     # Each step is one transaction.
@@ -84,9 +82,7 @@ def table(family: Family) -> RegisterTable:
 
 @Several
 @given(data=st.data())
-def test_a_value_of_a_register_is_read_as_it_was_written_or_refused_by_name(
-    table: RegisterTable, data: st.DataObject
-) -> None:
+def test_a_value_is_read_as_it_was_written_or_refused_by_name(table: RegisterTable, data: st.DataObject) -> None:
     register = data.draw(st.sampled_from(list(table.registers)))
     lowest, highest = register.value_range
     value = data.draw(st.integers(lowest, highest))
@@ -143,9 +139,7 @@ def test_servos_are_found_as_they_are(family: Family, emulator: Any) -> None:
         assert servo.warnings == ()
 
 
-def test_servos_that_do_not_answer_are_named_with_the_likely_cause_unless_they_are_emulated(
-    family: Family, emulator: Any
-) -> None:
+def test_servos_that_do_not_answer_are_named_with_the_likely_cause(family: Family, emulator: Any) -> None:
     for offline, simulated, sentence in (
         ({3}, True, r"^no answer from elbow_flex \(id 3\)$"),
         (set(IDS), True, "^no servo answers$"),

@@ -170,9 +170,7 @@ def test_a_real_arm_with_an_unmeasured_or_another_calibration_is_read_but_not_en
     assert run_to_end(hardware.driven(), emulator.run).all()
 
 
-def test_an_adapter_is_looked_for_each_time_that_it_is_opened_with_the_configured_baud_rate(
-    monkeypatch: pytest.MonkeyPatch, family: Family
-) -> None:
+def test_an_adapter_is_looked_for_each_time_that_it_is_opened(monkeypatch: pytest.MonkeyPatch, family: Family) -> None:
     plugged_in = ListPortInfo("/dev/does-not-exist")
     plugged_in.vid, plugged_in.pid = 0x1A86, 0x55D3
     monkeypatch.setattr(list_ports, "comports", lambda: [plugged_in])
@@ -208,9 +206,7 @@ def test_readings_are_complete_once_every_servo_has_answered(family: Family, tra
     assert tracker.complete
 
 
-def test_a_servo_that_misses_its_turn_is_asked_last_and_a_silent_one_only_now_and_then_or_where_it_must_be_seen(
-    family: Family, tracker: ServoTracker
-) -> None:
+def test_a_servo_that_misses_its_turn_is_asked_last_and_seldom(family: Family, tracker: ServoTracker) -> None:
     answered(family, tracker)
     for _ in range(MISSES_UNTIL_LAST):
         answered(family, tracker, 2)
@@ -254,9 +250,7 @@ def kept(family: Family, tracker: ServoTracker, told: dict[int, Any], now_s: flo
 
 
 @pytest.mark.parametrize("repeated", [False, True])
-def test_a_jump_that_no_joint_can_make_is_believed_in_two_readings_in_a_row_alone(
-    family: Family, tracker: ServoTracker, repeated: bool
-) -> None:
+def test_an_impossible_jump_is_believed_when_it_repeats(family: Family, tracker: ServoTracker, repeated: bool) -> None:
     assert kept(family, tracker, replies(family, 2048), 0.0) == 2048
     for cycle in range(1, 10):
         at_s, jumped = 0.01 * cycle, replies(family, 2048 + FAR_TICKS * (cycle % 2))
@@ -306,9 +300,7 @@ def dynamixels() -> ServoTracker:
     return ServoTracker(DYNAMIXEL.driver, DYNAMIXEL.servo_map)
 
 
-def test_readings_are_complete_with_supply_and_temperature_and_in_the_controllers_units(
-    dynamixels: ServoTracker,
-) -> None:
+def test_readings_are_complete_with_supply_and_temperature_in_the_controllers_units(dynamixels: ServoTracker) -> None:
     dynamixels.take(IDS, dynamixel_replies(whole=False), 0.0)
     assert not dynamixels.complete
     dynamixels.take(IDS, dynamixel_replies(), 0.0)

@@ -79,9 +79,7 @@ def test_torque_comes_on_low_and_slowly_without_a_jump(family: Family, emulator:
     assert farthest < DROOP_TICKS
 
 
-def test_servos_that_hold_keep_their_goals_and_a_half_switched_arm_is_completed(
-    family: Family, emulator: Any, torque: ServoTorque
-) -> None:
+def test_servos_that_hold_keep_goals_and_others_join(family: Family, emulator: Any, torque: ServoTorque) -> None:
     goals = enable(torque, emulator)
     goal = family.value(emulator, 2, "GOAL_POSITION") + 40
     family.put(emulator, 2, "GOAL_POSITION", goal)
@@ -91,9 +89,7 @@ def test_servos_that_hold_keep_their_goals_and_a_half_switched_arm_is_completed(
     assert torques(family, emulator) == [1] * 6
 
 
-def test_an_arm_that_has_sunk_in_relaxing_gets_its_torque_back_slowly_and_holds_where_it_is(
-    family: Family, emulator: Any, torque: ServoTorque
-) -> None:
+def test_an_arm_sunk_in_relaxing_holds_again_where_it_is(family: Family, emulator: Any, torque: ServoTorque) -> None:
     before = enable(torque, emulator)
     steps = relax(torque._bus, IDS, torque.full_limits(), torque.full_limits())
     for _ in range(46):
@@ -182,9 +178,7 @@ def test_an_emergency_stop_unheard_is_repeated_and_verified(family: Family, emul
     assert torque._bus.counters.sent - sent == BROADCASTS - 2 + len(IDS)
 
 
-def test_servos_whose_torque_cannot_be_verified_are_named_and_one_deaf_for_a_moment_is_switched_off(
-    family: Family, emulator: Any, torque: ServoTorque
-) -> None:
+def test_servos_are_switched_off_or_named(family: Family, emulator: Any, torque: ServoTorque) -> None:
     enable(torque, emulator)
     emulator.servo_bus.faults.offline = {3, 5}
     assert run_to_end(emergency_stop(torque._bus, IDS), emulator.run) == [3, 5]

@@ -114,17 +114,14 @@ def test_loggers_that_are_changed_are_bounded_and_children_forgotten(monkeypatch
     assert len(logs._followers) <= count
 
 
-@pytest.mark.parametrize(
-    ("burst", "lines_per_s", "lines"),
-    [
+def test_lines_are_due_in_bursts_and_then_at_a_rate() -> None:
+    for burst, lines_per_s, lines in (
         (3, 0.5, [("a", 0.0, True)] * 3 + [("a", 0.0, False)] * 2 + [("a", 2.0, True), ("a", 2.0, False)]),
         (2, 1.0, [("a", 0.0, True), ("a", 1e6, True), ("a", 1e6, True), ("a", 1e6, False)]),
         (1, 0.0, [("a", 0.0, True), ("b", 0.0, True), ("a", 1e9, False)]),
-    ],
-)
-def test_lines_are_due_in_bursts_and_then_at_a_rate(burst: int, lines_per_s: float, lines: list[Any]) -> None:
-    limiter = logs.LogLimiter(burst, lines_per_s)
-    assert [limiter.due(key, now_s) for key, now_s, _ in lines] == [due for _, _, due in lines]
+    ):
+        limiter = logs.LogLimiter(burst, lines_per_s)
+        assert [limiter.due(key, now_s) for key, now_s, _ in lines] == [due for _, _, due in lines]
 
 
 LOG = logging.getLogger("armbridge.test")

@@ -240,19 +240,16 @@ def test_wherever_the_stops_are_the_placed_range_never_crosses_the_seam(lower_st
 
 
 @given(st.integers(-5000, 5000), st.integers(-LARGEST_OFFSET, LARGEST_OFFSET), st.floats(0.0, 1.0))
-@pytest.mark.parametrize(
-    ("width", "reason"),
-    [
+def test_a_joint_that_hardly_moved_or_turned_round_is_refused(lower_stop, offset, start_share):
+    for width, reason in (
         (0, "was moved by 0 ticks"),
         (LEAST_SWEEP_TICKS - 1, "was moved by"),
         (WIDEST_SWEEP_TICKS + 1, "no stops within a turn"),
         (MAX_TICK + 800, "no stops within a turn"),
-    ],
-)
-def test_a_joint_that_hardly_moved_or_turned_round_is_refused(width, reason, lower_stop, offset, start_share):
-    sweep = swept((lower_stop, lower_stop + width), offset, start_share)
-    with pytest.raises(CalibrationError, match=reason):
-        place(ELBOW, sweep, offset, recentre=True)
+    ):
+        sweep = swept((lower_stop, lower_stop + width), offset, start_share)
+        with pytest.raises(CalibrationError, match=reason):
+            place(ELBOW, sweep, offset, recentre=True)
 
 
 @given(st.integers(0, MAX_TICK), st.integers(-LARGEST_OFFSET, LARGEST_OFFSET))

@@ -265,15 +265,12 @@ def test_a_file_with_a_mistake_is_refused_with_its_place(tmp_path, old, new, sai
 BECAME_6, BECAME_5, KEPT_1 = (servo(1, new_id) for new_id in (6, 5, 1))
 
 
-@pytest.mark.parametrize(
-    ("saved", "found_ids", "matched"),
-    [
+def test_servos_are_recognised_by_the_ids_that_they_got():
+    for saved, found_ids, matched in (
         ([BECAME_6, BECAME_5, KEPT_1], [1, 5, 9], {1: KEPT_1, 5: BECAME_5}),
         ([BECAME_6], [1], {1: BECAME_6}),
         ([BECAME_6], [1, 6], {6: BECAME_6}),
         ([BECAME_6, BECAME_5], [1], {}),
         ([BECAME_6, servo(6, 6, P_GAIN=16)], [6], {6: BECAME_6}),
-    ],
-)
-def test_servos_are_recognised_by_the_ids_that_they_got(saved, found_ids, matched):
-    assert setup.match_saved(saved, found_ids) == matched
+    ):
+        assert setup.match_saved(saved, found_ids) == matched

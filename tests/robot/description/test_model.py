@@ -91,11 +91,11 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize(("urdf", "srdf", "words"), BROKEN.values(), ids=BROKEN.keys())
-def test_a_broken_description_is_refused_with_its_reason(urdf: str, srdf: str, words: str) -> None:
-    with pytest.raises(DescriptionError) as refused:
-        model.parse(urdf, srdf)
-    assert words in str(refused.value)
+def test_a_broken_description_is_refused_with_its_reason() -> None:
+    for urdf, srdf, words in BROKEN.values():
+        with pytest.raises(DescriptionError) as refused:
+            model.parse(urdf, srdf)
+        assert words in str(refused.value)
 
 
 HAND_URDF = URDF.replace(
@@ -124,21 +124,16 @@ ALIKE = '<group name="fingers"><joint name="grip"/><joint name="press"/></group>
 ARM_ITSELF = '<end_effector name="e" parent_link="palm" group="arm"/>'
 
 
-@pytest.mark.parametrize(
-    ("elements", "gripper"),
-    [
+def test_the_gripper_is_the_end_effector_or_a_group_named_hand() -> None:
+    for elements, gripper in (
         ((HAND, EFFECTOR), model.GripperModel(("grip",), 0.04, 0.001)),
         # States say where a gripper is open and closed.
         ((HAND, EFFECTOR, STATES), model.GripperModel(("grip",), 0.03, 0.01)),
         ((ALIKE, EFFECTOR), model.GripperModel(("grip", "press"), 0.04, 0.001)),
         ((ARM_ITSELF,), None),
         ((ARM_ITSELF, HAND.replace("fingers", "hand")), model.GripperModel(("grip",), 0.04, 0.001)),
-    ],
-)
-def test_the_gripper_is_the_end_effector_or_a_group_named_hand(
-    elements: tuple[str, ...], gripper: model.GripperModel | None
-) -> None:
-    assert hand_of(ARM, *elements).gripper == gripper
+    ):
+        assert hand_of(ARM, *elements).gripper == gripper
 
 
 def test_a_passive_joint_is_held_where_it_is_least_turned() -> None:

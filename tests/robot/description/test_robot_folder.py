@@ -171,9 +171,8 @@ def problems(folder: Path, text: str) -> tuple[str, ...]:
 MANY_CAMERAS = "".join(f"[cameras.a{n}]\nview = [0, 0, 1, 0, 0, 0]\n" for n in range(8))
 
 
-@pytest.mark.parametrize(
-    ("text", "sentence"),
-    [
+def test_a_wrong_key_or_value_is_named(tmp_path: Path) -> None:
+    for text, sentence in (
         ('[robot]\nurd = "x"', "robot.urd: there is no such key; did you mean urdf?"),
         ("[joints.a]\nmax_velocty = 2", "joints.a.max_velocty: there is no such key; did you mean max_velocity?"),
         ("[cameras.a]\nwith = 2", "cameras.a.with: there is no such key; did you mean width?"),
@@ -189,10 +188,8 @@ MANY_CAMERAS = "".join(f"[cameras.a{n}]\nview = [0, 0, 1, 0, 0, 0]\n" for n in r
         ("[hardware]\n[[hardware.servos]]\njoint='a'\nid=1\nmodel='x'", 'hardware: the kind "ideal" has no servos'),
         ("[robot", "is no TOML"),
         ("x = 'ü'".encode("latin-1").decode("latin-1") + "#" * MAX_BYTES, f"has more than {MAX_BYTES} bytes"),
-    ],
-)
-def test_a_wrong_key_or_value_is_named(tmp_path: Path, text: str, sentence: str) -> None:
-    assert any(problem.startswith(sentence) for problem in problems(tmp_path, text)), problems(tmp_path, text)
+    ):
+        assert any(problem.startswith(sentence) for problem in problems(tmp_path, text)), problems(tmp_path, text)
 
 
 @pytest.mark.parametrize(("key", "value"), [("id", "7"), ("joint", "'a'")])

@@ -1,7 +1,6 @@
 """Files of a robot: URDF, its cameras, and SRDF."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -113,9 +112,8 @@ def test_the_image_is_upright_and_shows_its_target_in_the_middle_as_large_as_the
     assert (column / depth, row / depth) == pytest.approx((159.5, -0.5))
 
 
-@pytest.mark.parametrize(
-    ("values", "named"),
-    [
+def test_a_wrong_value_is_named() -> None:
+    for values, named in (
         ({"view": (0.1,) * 6}, "must look at another point"),
         ({"view": (1.0, 2.0)}, "view"),
         ({"view": (*AHEAD[:5], float("nan"))}, "view.5"),
@@ -124,11 +122,9 @@ def test_the_image_is_upright_and_shows_its_target_in_the_middle_as_large_as_the
         ({"rate_hz": 0.0}, "rate_hz"),
         ({"field_of_view_deg": 180.0}, "field_of_view_deg"),
         ({"colour": "red"}, "colour"),
-    ],
-)
-def test_a_wrong_value_is_named(values: dict[str, Any], named: str) -> None:
-    with pytest.raises(ValidationError, match=named):
-        Camera(**{"view": AHEAD, **values})
+    ):
+        with pytest.raises(ValidationError, match=named):
+            Camera(**{"view": AHEAD, **values})
 
 
 LIMIT = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
@@ -170,9 +166,8 @@ def srdf_refusal(inner: str) -> str:
     return str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("inner", "joints", "tip"),
-    [
+def test_a_group_has_its_joints_from_the_root_to_the_last_link() -> None:
+    for inner, joints, tip in (
         ('<joint name="r_elbow"/><joint name="r_shoulder"/>', ("r_shoulder", "r_elbow"), "r2"),
         ('<link name="l1"/><link name="l2"/><link name="l_tool"/>', ("l_shoulder", "l_elbow"), "l_tool"),
         ('<link name="base"/><link name="torso"/>', ("lift",), "torso"),
@@ -182,11 +177,9 @@ def srdf_refusal(inner: str) -> str:
             ("lift", "l_shoulder", "l_elbow"),
             "l_tool",
         ),
-    ],
-)
-def test_a_group_has_its_joints_from_the_root_to_the_last_link(inner: str, joints: tuple[str, ...], tip: str) -> None:
-    group = read(f'<group name="g">{inner}</group>').groups["g"]
-    assert (group.joints, group.tip_link) == (joints, tip)
+    ):
+        group = read(f'<group name="g">{inner}</group>').groups["g"]
+        assert (group.joints, group.tip_link) == (joints, tip)
 
 
 def test_nested_groups_bring_their_joints_in_any_order_and_a_chain_may_lead_from_one_branch_to_another() -> None:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from robot.calibration import Calibration
 from robot.description import model
 from robot.emulator.arm import MAX_WAITING_BYTES, EmulatedArm, LinkWeights, weight_of
+from robot.emulator.control import LiveCommand
 from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos
 from robot.errors import NoReply, StartupError
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
@@ -21,7 +22,7 @@ from robot.hardware.interface import HardwareInterface, run_to_end
 from robot.hardware.port import LOCAL_LATENCY_S
 from tests.helpers import arm_rig, dynamixel
 from tests.helpers.dynamixel import emulated_arm
-from tests.helpers.emulator import ALL, COMMANDS, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet
+from tests.helpers.emulator import ALL, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet
 from tests.helpers.resources import examples
 from tests.helpers.robots import SO101_SERVOS, so101
 
@@ -155,6 +156,12 @@ def test_a_torque_is_the_gradient_of_the_links_energy_and_a_prismatic_joint_carr
     assert LinkWeights(hoist).holding_torques({"lift": 0.3}) == {"lift": pytest.approx(19.62)}
 
 
+# An example of each command that takes no time, and some that end what others began.
+COMMANDS = [
+    *({name: field.examples[0]} for name, field in LiveCommand.model_fields.items() if "delay" not in name),
+    *({"drop": 0.0}, {"status": {"3": 0}}, {"hand": {"1": None}}, {"obstacle": {"1": None}}, {"frozen": False}),
+]
+
 BLOCK_READ = packet(ALL, SYNC_READ, [TELEMETRY_ADDRESS, TELEMETRY_BYTES, *IDS])
 STEP_S = 0.01
 
@@ -171,7 +178,7 @@ def at_once() -> SteppedEmulator:
         st.one_of(
             REQUESTS,
             st.sampled_from([0.02, 0.1, 1.0]),
-            st.sampled_from([command for command in COMMANDS if "delay" not in command]),
+            st.sampled_from(COMMANDS),
         ),
         max_size=15,
     )

@@ -50,9 +50,8 @@ def test_turns_are_counted_until_the_supply_is_lost() -> None:
     assert read(servo, "PRESENT_POSITION") == pytest.approx(2048, abs=1)
 
 
-@pytest.mark.parametrize(
-    ("register", "value", "error"),
-    [
+def test_what_cannot_be_written_is_refused() -> None:
+    for register, value, error in (
         ("MODEL_NUMBER", 1, ACCESS_ERROR),
         ("PRESENT_POSITION", 1, ACCESS_ERROR),
         ("GOAL_PWM", 886, DATA_LIMIT_ERROR),
@@ -60,13 +59,11 @@ def test_turns_are_counted_until_the_supply_is_lost() -> None:
         ("GOAL_POSITION", 1_048_576, DATA_LIMIT_ERROR),
         ("TORQUE_ENABLE", 2, DATA_LIMIT_ERROR),
         ("BUS_WATCHDOG", -1, DATA_RANGE_ERROR),
-    ],
-)
-def test_what_cannot_be_written_is_refused(register: str, value: int, error: int) -> None:
-    servo = servo_at()
-    before = read(servo, register)
-    assert write(servo, register, value) == error
-    assert read(servo, register) == before
+    ):
+        servo = servo_at()
+        before = read(servo, register)
+        assert write(servo, register, value) == error
+        assert read(servo, register) == before
 
 
 def test_goals_beyond_the_limits_half_a_register_and_the_eeprom_of_a_driven_servo_are_refused() -> None:

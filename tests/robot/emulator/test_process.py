@@ -158,9 +158,8 @@ def test_servos_and_bus_are_as_asked_for(tmp_path):
     assert json.loads(log.read_text())["command"] == {}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence", "error"),
-    [
+def test_options_that_cannot_be_are_refused_in_a_sentence(capsys):
+    for arguments, sentence, error in (
         (["--start=a"], "not a list of numbers", SystemExit),
         (["--drop", "2"], "drop: must be less than or equal to 1, not 2.0", SystemExit),
         (["--supply", "nan"], "supply: must be a finite number, not nan", SystemExit),
@@ -168,12 +167,10 @@ def test_servos_and_bus_are_as_asked_for(tmp_path):
         (["--start=0,9,0,0,0,0"], "shoulder_lift cannot start at 9 rad", ValueError),
         (["--calibration", "/nowhere.json"], "/nowhere.json: cannot be read", CalibrationError),
         (["--write-log", "/nowhere/log"], "/nowhere/log", OSError),
-    ],
-)
-def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sentence, error):
-    with pytest.raises(error) as refused:
-        process.run(options_parser().parse_args(arguments))
-    assert sentence in capsys.readouterr().err + str(refused.value)
+    ):
+        with pytest.raises(error) as refused:
+            process.run(options_parser().parse_args(arguments))
+        assert sentence in capsys.readouterr().err + str(refused.value)
 
 
 TICK_S = 0.02
@@ -254,9 +251,8 @@ def test_a_script_is_read_line_by_line_and_refused_without_any(tmp_path: Path) -
         process.read_script(file, bus_of())
 
 
-@pytest.mark.parametrize(
-    ("line", "error_text"),
-    [
+def test_a_line_that_cannot_be_is_refused_with_file_and_number(tmp_path: Path) -> None:
+    for line, error_text in (
         ('{"at_s": 1, "hand": {"3": 1900}}', "at_s: must be more than the 1 of the line before, not 1"),
         ('{"at_s": 2, "hand": {"3": 5000}}', "hand.3: must be less than or equal to 4095, not 5000"),
         ('{"at_s": 2, "explode": 1}', "unknown command 'explode'"),
@@ -267,13 +263,11 @@ def test_a_script_is_read_line_by_line_and_refused_without_any(tmp_path: Path) -
         ('{"drop": 0.5}', "at_s: is missing"),
         ("[2]", "a command is a JSON object, not [2]"),
         ('{"at_s" 2}', "no JSON at column 9: Expecting ':' delimiter"),
-    ],
-)
-def test_a_line_that_cannot_be_is_refused_with_file_and_number(tmp_path: Path, line: str, error_text: str) -> None:
-    file = tmp_path / "script.jsonl"
-    file.write_text(f'{{"at_s": 1}}\n\n{line}\n')
-    with pytest.raises(ValueError, match="^" + re.escape(f"{file}, line 3: {error_text}")):
-        process.read_script(file, bus_of())
+    ):
+        file = tmp_path / "script.jsonl"
+        file.write_text(f'{{"at_s": 1}}\n\n{line}\n')
+        with pytest.raises(ValueError, match="^" + re.escape(f"{file}, line 3: {error_text}")):
+            process.read_script(file, bus_of())
 
 
 @ARMS

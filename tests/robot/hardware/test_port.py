@@ -56,20 +56,17 @@ def test_a_port_that_does_not_exist_or_is_busy_and_a_rate_no_servo_knows_are_ref
         open_port(line[1], 921_600)
 
 
-@pytest.mark.parametrize(
-    ("number", "names", "advice"),
-    [
+def test_a_missing_permission_names_the_group_that_owns_the_device(monkeypatch):
+    for number, names, advice in (
         (987, {987: "uucp"}, "sudo usermod -aG uucp $USER"),
         (987, {}, "--group-add 987"),
         (0, {0: "root"}, "sudo usermod -aG dialout $USER"),
-    ],
-)
-def test_a_missing_permission_names_the_group_that_owns_the_device(monkeypatch, number, names, advice):
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "stat", lambda _path: os.stat_result((0o20660, 0, 0, 1, 0, number, 0, 0, 0, 0)))
-        patched.setattr(grp, "getgrgid", lambda gid: grp.struct_group((names[gid], "x", gid, [])))
-        said = str(_refusal("/dev/ttyACM0", errno.EACCES, "Permission denied"))
-    assert all(words in said for words in (advice, "/dev/ttyACM0", "udev")), said
+    ):
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "stat", lambda _path: os.stat_result((0o20660, 0, 0, 1, 0, number, 0, 0, 0, 0)))  # noqa: B023
+            patched.setattr(grp, "getgrgid", lambda gid: grp.struct_group((names[gid], "x", gid, [])))  # noqa: B023
+            said = str(_refusal("/dev/ttyACM0", errno.EACCES, "Permission denied"))
+        assert all(words in said for words in (advice, "/dev/ttyACM0", "udev")), said
 
 
 def test_bytes_pass_both_ways_unaltered_and_those_that_are_cleared_are_counted(line, port):

@@ -14,7 +14,7 @@ from bson import decode as decode_bson
 from protocol.codecs.bson import is_document
 from protocol.errors import FrameError
 from protocol.framing import StreamSplitter
-from protocol.interface_files import read_file
+from protocol.interface_packages import read_file
 from protocol.limits import Limits
 from protocol.publication import Frame
 from protocol.session import Session

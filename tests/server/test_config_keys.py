@@ -76,9 +76,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "armbridge.toml"
 
 
-def test_the_environment_overrides_the_file_and_the_command_line_both(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_environment_overrides_the_file_and_options_both(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text('[server]\nhost = "file"\nport = 1\nlog_level = "error"\n[goals]\npolicy = "preempt"\n')
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     monkeypatch.setenv("ARMBRIDGE_SERVER__LOG_LEVEL", "debug")

@@ -49,16 +49,13 @@ def test_the_planning_scene_of_an_older_version_opens(tmp_path: Path) -> None:
     assert [each["id"] for each in scene["world"]["collision_objects"]] == ["box"]
 
 
-@pytest.mark.parametrize(
-    ("settings", "name"),
-    [
+def test_an_arm_its_simulation_and_each_set_of_arms_keep_a_scene_of_their_own() -> None:
+    for settings, name in (
         ({}, "planning_scene_so101.json"),
         ({"arm": {"serial": "/dev/ttyACM0"}}, "planning_scene_real_so101.json"),
         ({"arms": {"right": {"serial": "/dev/a"}, "left": {}}}, "planning_scene_left_right_real_so101.json"),
-    ],
-)
-def test_an_arm_its_simulation_and_each_set_of_arms_keep_a_scene_of_their_own(settings: Any, name: str) -> None:
-    assert kept_scene_path(Settings.model_validate(settings), ROBOT).name == name
+    ):
+        assert kept_scene_path(Settings.model_validate(settings), ROBOT).name == name
 
 
 def test_a_new_file_is_kept_though_the_clock_that_names_it_was_set_back(tmp_path: Path) -> None:

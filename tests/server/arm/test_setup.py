@@ -24,17 +24,14 @@ from tests.helpers.robots import nominal_calibration, so101
 PHYSICS = SimulationSettings(kind="physics")
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
+def test_a_parameter_the_robot_does_not_have_is_named() -> None:
+    for name, value, words in (
         ("group_name", "leg", "'leg'.*arm, gripper"),
         ("end_effector_link", "toe", "'toe'.*gripper_frame_link"),
         ("planning_frame", "world", "'base_link'.*'world'"),
-    ],
-)
-def test_a_parameter_the_robot_does_not_have_is_named(name: str, value: str, words: str) -> None:
-    with pytest.raises(ConfigurationError, match=rf"moveit\.{name}.*{words}"):
-        check_parameters(MoveItParameters.model_validate({name: value}), so101())
+    ):
+        with pytest.raises(ConfigurationError, match=rf"moveit\.{name}.*{words}"):
+            check_parameters(MoveItParameters.model_validate({name: value}), so101())
 
 
 def described(folder: Path, urdf: str, srdf: str) -> dict[str, Path]:

@@ -307,9 +307,7 @@ async def test_a_stop_at_any_moment_ends_the_chunks_until_they_pause(policy: Pol
     assert "the arm was stopped: publish nothing on" in policy.refusals[-1]
 
 
-async def test_a_stop_ends_also_a_policy_that_sends_a_chunk_every_two_seconds_and_holds_the_gripper(
-    policy: Policy,
-) -> None:
+async def test_a_stop_ends_also_a_policy_with_a_chunk_every_two_seconds_and_holds_the_gripper(policy: Policy) -> None:
     def moved(rad: float, count: int) -> dict[str, Any]:
         """Return a chunk that moves each joint of arm and gripper so far from where it is."""
         here_rad = policy.goals_rad[-1][[*COLUMNS, GRIPPER]]
@@ -474,9 +472,7 @@ async def test_a_chunk_of_an_observation_from_before_the_resumption_is_refused(p
     assert policy.phase == PolicyPhase.FOLLOWING
 
 
-async def test_a_wall_clock_set_back_after_the_resumption_refuses_no_chunk(
-    policy: Policy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_wall_clock_that_is_set_back_refuses_no_chunk(policy: Policy, monkeypatch: pytest.MonkeyPatch) -> None:
     await asyncio.sleep(0.1)
     policy.stage.call(RESUME)
     loop = asyncio.get_running_loop()

@@ -65,9 +65,8 @@ def options(*arguments):
     return cli._parser().parse_args(["serve", *arguments])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "settings"),
-    [
+def test_options_override_settings():
+    for arguments, settings in (
         (
             ("--port", "0", "--serial", "auto", "--log-level", "error"),
             {"server": {"port": "0", "log_level": "error"}, "arm": {"serial": "auto"}},
@@ -77,10 +76,8 @@ def options(*arguments):
         # An option counts more than an assignment, which may be a table as TOML has it.
         (("--set", "server.port=1", "--port", "2"), {"server": {"port": "2"}}),
         (("--set", "arm.zero_offset_rad={elbow_flex=0.02}"), {"arm": {"zero_offset_rad": {"elbow_flex": 0.02}}}),
-    ],
-)
-def test_options_override_settings(arguments, settings):
-    assert overrides(options(*arguments)) == settings
+    ):
+        assert overrides(options(*arguments)) == settings
 
 
 def test_settings_have_what_the_options_say_and_know_it_from_the_command_line():
@@ -139,18 +136,15 @@ def test_a_refusal_does_not_show_what_may_be_a_token(assignment):
     assert "my-secret" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
+def test_a_wrong_assignment_is_refused():
+    for arguments, words in (
         (("--set", "server.port"), "--set server.port: must be KEY=VALUE"),
         (("--set", "arm.zero_offset_rad={a"), "the value is not TOML"),
         (("--set", "server=1", "--set", "server.port=2"), "--set server.port: server has a value already"),
         (("--set", "server=1", "--port", "2"), "--set server.port: server has a value already"),
-    ],
-)
-def test_a_wrong_assignment_is_refused(arguments, words):
-    with pytest.raises(ConfigurationError, match=words):
-        overrides(options(*arguments))
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            overrides(options(*arguments))
 
 
 def options_of(parser: argparse.ArgumentParser, command: str = "armbridge") -> Iterator[tuple[str, argparse.Action]]:
@@ -230,15 +224,12 @@ def test_the_unit_runs_this_installation(capsys: pytest.CaptureFixture[str]) -> 
     assert (service["Type"], service["DynamicUser"], service["SupplementaryGroups"]) == ("notify", "yes", "dialout")
 
 
-def test_a_unit_has_the_user_and_group_that_are_given_and_quotes_what_systemd_would_read_otherwise() -> None:
+def test_a_unit_has_user_group_and_quotes_and_without_a_script_the_interpreter_runs_the_server(tmp_path: Path) -> None:
     text = unit(["/opt/my arm/bin/armbridge"], Path('/etc/100% "$HOME".toml'), "lab", "uucp")
     service = section(text, "Service")
     assert (service["User"], service["SupplementaryGroups"]) == ("lab", "uucp")
     assert "DynamicUser" not in service
     assert service["ExecStart"] == '"/opt/my arm/bin/armbridge" serve --config "/etc/100%% \\"$$HOME\\".toml"'
-
-
-def test_without_a_script_the_interpreter_runs_the_server(tmp_path: Path) -> None:
     python = tmp_path / "python"
     assert server_command(python) == [str(python), "-P", "-m", "server.cli"]
     (tmp_path / "armbridge").touch()

@@ -45,16 +45,15 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Pair, Pair]:
     return make_pair(tmp_path_factory.mktemp("one")), make_pair(tmp_path_factory.mktemp("other"))
 
 
-def test_a_key_of_another_certificate_is_named(pairs: tuple[Pair, Pair]) -> None:
+def test_a_key_that_does_not_fit_or_has_a_passphrase_or_is_missing_is_named(
+    pairs: tuple[Pair, Pair], tmp_path: Path
+) -> None:
     one, other = pairs
     with pytest.raises(ConfigurationError) as refused:
         Tls(one.certificate, other.key)
     assert str(refused.value) == (
         f"server.tls_key: {other.key} is not the key of the certificate in {one.certificate} (server.tls_certificate)"
     )
-
-
-def test_a_file_that_is_missing_or_of_something_else_is_named(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
     for which, kind in (("certificate", "CERTIFICATE"), ("key", "PRIVATE KEY")):
         other = tmp_path / f"{which}.pem"
         pair = pairs[0]._replace(**{which: other})
@@ -63,9 +62,6 @@ def test_a_file_that_is_missing_or_of_something_else_is_named(pairs: tuple[Pair,
         other.write_bytes(b"\xff\x00 nothing of that kind")
         with pytest.raises(ConfigurationError, match=f"server.tls_{which}: .*{which}.pem has no {kind} in PEM format"):
             Tls(*pair)
-
-
-def test_a_key_with_a_passphrase_is_refused_without_a_prompt(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
     locked = tmp_path / "locked.pem"
     openssl("pkey", "-in", str(pairs[0].key), "-aes256", "-passout", "pass:secret", "-out", str(locked))
     with pytest.raises(ConfigurationError, match="the key has a passphrase") as refused:
@@ -289,14 +285,11 @@ def has_ipv6() -> bool:
     return True
 
 
-async def test_a_host_is_all_its_addresses_and_no_host_those_of_the_machine() -> None:
+async def test_a_host_is_all_its_addresses_no_host_those_of_the_machine_and_a_name_that_there_is_not_is_told() -> None:
     assert await listener_module.resolve("127.0.0.1", 9090) == [IPV4]
     assert await listener_module.resolve("::1", 9090) == [IPV6]
     assert IPV4 in await listener_module.resolve("localhost", 9090)
     assert "0.0.0.0" in {address[0] for _, address in await listener_module.resolve("", 9090)}
-
-
-async def test_a_name_that_there_is_not_is_told() -> None:
     with pytest.raises(StartError, match=r"cannot listen on no\.\.where:9090: this is no name of a host"):
         await listener_module.resolve("no..where", 9090)
     with pytest.raises(StartError, match=r"cannot listen on 127\.0\.0\.256:9090: "):

@@ -43,9 +43,8 @@ FIELD = "request.items[].req.path_constraints.joint_constraints"
 ITEM_VALUES = 43
 
 
-@pytest.mark.parametrize(
-    ("limits", "item", "most", "sentence"),
-    [
+def test_a_list_beyond_its_limit_is_refused_with_field_limit_and_value() -> None:
+    for limits, item, most, sentence in (
         (ListLimits({ITEMS: 2}), {}, 2, "field request.items: wanted at most 2 elements in all, got 3"),
         # A limit is for all lists of the field together, and others count by the values that they stand for.
         (CONSTRAINTS, BLENDED, 1, f"field {FIELD}: wanted at most 3 elements in all, got 4"),
@@ -55,15 +54,11 @@ ITEM_VALUES = 43
             10,
             "field request.items: wanted at most 430 values in all lists, as they are complete, got more",
         ),
-    ],
-)
-def test_a_list_beyond_its_limit_is_refused_with_field_limit_and_value(
-    limits: ListLimits, item: dict[str, Any], most: int, sentence: str
-) -> None:
-    assert refusal(limits, {"request": {"items": [item] * most}}) == ""
-    assert refusal(limits, {"request": {"items": [item] * (most + 1)}}) == sentence
-    # In order of declaration, fields count as well.
-    assert "request.items" in refusal(limits, [{"items": [item] * (most + 1)}])
+    ):
+        assert refusal(limits, {"request": {"items": [item] * most}}) == ""
+        assert refusal(limits, {"request": {"items": [item] * (most + 1)}}) == sentence
+        # In order of declaration, fields count as well.
+        assert "request.items" in refusal(limits, [{"items": [item] * (most + 1)}])
 
 
 @pytest.mark.parametrize("count", [MAX_VALUES, MAX_VALUES + 1])

@@ -56,14 +56,11 @@ def test_a_large_message_of_a_client_is_completed_in_the_background_first(receiv
     assert received.cost_bytes >= LARGE_BYTES
 
 
-def test_a_message_that_was_completed_for_another_type_is_not_taken() -> None:
+def test_a_message_completed_for_another_type_is_not_taken_and_an_error_is_raised_when_it_is_used() -> None:
     received = ReceivedMessage({"poses": []}, BYTES_AT_ONCE + 1)
     received.complete(STRICT, POSES)
     with pytest.raises(PostponedError):
         STRICT.complete("geometry_msgs/msg/Polygon", received)
-
-
-def test_an_error_in_the_background_is_raised_when_the_message_is_used() -> None:
     received = ReceivedMessage({"poses": [{"position": 1}]}, BYTES_AT_ONCE + 1)
     received.complete(STRICT, POSES)
     with pytest.raises(MessageError, match="position"):

@@ -101,9 +101,7 @@ async def test_an_invalid_name_or_state_or_one_more_than_the_limit_is_refused(
         await states.save(name, positions_rad)
 
 
-async def test_two_servers_and_those_of_another_arm_keep_what_the_other_has_saved_and_know_what_it_has_deleted(
-    path: Path,
-) -> None:
+async def test_two_servers_keep_what_the_other_saved_also_of_another_arm_and_know_what_it_deleted(path: Path) -> None:
     with files.locked(path):
         files.replace(path, b'{"states": {"its": {"knee": 0.1}}}')
     one, other = opened(path), opened(path)

@@ -158,9 +158,7 @@ async def test_a_wrong_request_gets_its_code_and_moves_nothing(
         ({"optimization": "best", "allowed_planning_time": 2.0}, 2.0, 2.0),
     ],
 )
-async def test_a_goal_chooses_the_time_of_its_planning(
-    desk: Desk, fields: Any, time_s: float, allowed_s: float
-) -> None:
+async def test_a_goal_chooses_its_planning_time(desk: Desk, fields: Any, time_s: float, allowed_s: float) -> None:
     await desk.ask(named="ready", **fields)
     problem = desk.asked[0].steps[0].problem(HOME)
     assert (problem.optimization_time_s, problem.allowed_time_s) == (time_s, allowed_s)

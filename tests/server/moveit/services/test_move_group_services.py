@@ -30,9 +30,7 @@ from tests.helpers.moveit import (
 )
 
 
-async def test_every_service_answers_empty_requests_and_nonsense_also_for_an_arm_that_is_not_read(
-    rig: ServiceRig,
-) -> None:
+async def test_every_service_answers_empty_requests_and_nonsense_also_of_an_unread_arm(rig: ServiceRig) -> None:
     for known in (True, False):
         for name, offer in SERVICES.items():
             assert rig.graph.services.names.type_of(name) == f"moveit_msgs/srv/{offer.type_name}"

@@ -251,9 +251,7 @@ def test_a_client_shortens_the_timeout_of_its_own_commands_alone(gate_rig: GateR
 
 # The clients' clocks are ahead, and behind.
 @pytest.mark.parametrize("ahead_s", [1000, -1000])
-def test_a_command_that_has_waited_on_its_way_has_expired_by_the_clock_of_its_client(
-    gate_rig: GateRig, ahead_s: int
-) -> None:
+def test_a_command_that_waited_on_its_way_has_expired_by_its_clients_clock(gate_rig: GateRig, ahead_s: int) -> None:
     gate = gate_rig.gate
 
     def has_expired(sent_s: int, at_s: float, client: Node = ONE) -> bool:

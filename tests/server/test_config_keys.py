@@ -133,9 +133,7 @@ def test_a_wrong_value_in_the_file_is_refused_under_the_command_line_as_well(fil
             load(file, {"server": {"port": 1}})
 
 
-def test_a_wrong_value_is_refused_also_where_the_environment_or_the_command_line_overrides_it(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_value_is_refused_also_where_it_is_overridden(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text("[server]\nport = -1\n")
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     with pytest.raises(ConfigurationError, match=r"server\.port: .*-1, from the file"):

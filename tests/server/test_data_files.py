@@ -24,19 +24,14 @@ WRITTEN = Path(__file__).parent / "data_of_0_1_0"
 NEWER = {"written_by": "9.9.9"}
 
 
-@pytest.fixture(params=[{}, NEWER], ids=["of 0.1.0", "of a newer version"])
-def directory(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A data directory with the states and the motion of a version."""
+@pytest.mark.parametrize("more", [{}, NEWER], ids=["of 0.1.0", "of a newer version"])
+async def test_saved_states_and_taught_motions_open(tmp_path: Path, more: dict[str, str]) -> None:
     for name in ("named_states_so101.json", "wave.json"):
         content = json.loads((WRITTEN / name).read_text())
-        (tmp_path / name).write_text(json.dumps({**content, **request.param}))
-    return tmp_path
-
-
-async def test_saved_states_and_taught_motions_open(directory: Path) -> None:
-    states = NamedStates(ROBOT, "arm", directory / "named_states_so101.json")
+        (tmp_path / name).write_text(json.dumps({**content, **more}))
+    states = NamedStates(ROBOT, "arm", tmp_path / "named_states_so101.json")
     assert states.saved == {"tray": {"shoulder_pan": 0.25, "elbow_flex": -0.5}}
-    motion = await MotionFiles(directory, ROBOT).load("wave")
+    motion = await MotionFiles(tmp_path, ROBOT).load("wave")
     assert motion.joint_names == ("shoulder_pan",)
     assert motion.positions_rad.tolist() == [[0.0], [0.1], [0.2]]
 

@@ -430,9 +430,7 @@ async def test_a_leader_takes_over_and_gives_back(policy: Policy) -> None:
 
 @pytest.mark.parametrize("after_s", np.arange(0.0, 0.2, 0.067).tolist())
 @pytest.mark.parametrize("service", [PAUSE, STOP])
-async def test_a_pause_or_a_stop_of_the_policy_brakes_softly_at_any_moment(
-    policy: Policy, service: str, after_s: float
-) -> None:
+async def test_a_pause_or_a_stop_brakes_softly_at_any_moment(policy: Policy, service: str, after_s: float) -> None:
     streaming = asyncio.create_task(policy.stream(2.0))
     await asyncio.sleep(0.5 + after_s)
     policy.stage.call(service)
@@ -451,9 +449,7 @@ async def test_a_pause_or_a_stop_of_the_policy_brakes_softly_at_any_moment(
 
 
 @pytest.mark.parametrize(("streams_s", "velocity"), [(0.0, 0.5), (0.6, 0.0)])
-async def test_a_stick_without_a_policy_and_a_stick_at_rest_take_nothing_over(
-    policy: Policy, streams_s: float, velocity: float
-) -> None:
+async def test_a_stick_at_rest_or_alone_takes_nothing_over(policy: Policy, streams_s: float, velocity: float) -> None:
     await policy.stream(streams_s)
     await policy.jog(velocity, 0.3)
     await asyncio.sleep(0.5)

@@ -109,21 +109,18 @@ def test_a_new_setting_is_explained_everywhere_by_its_one_line(monkeypatch, caps
     assert "--retry S Time between two attempts; leave it out for no attempt. (s, 1 to 5) Default: 2.0." in shown
 
 
-@pytest.mark.parametrize(
-    ("command", "option", "value", "words"),
-    [
+def test_an_option_out_of_range_is_refused_with_the_range(capsys):
+    for command, option, value, words in (
         ("camera test", "--connect", "http://x", "must begin with ws:// or wss://, not 'http://x'"),
         ("camera test", "--fps", "0", "must be a whole number from 1 to 60, not '0'"),
         ("camera test", "--width", "9", "must be a whole number from 16 to 4096, not '9'"),
         ("camera test", "--quality", "96", "must be a whole number from 1 to 95, not '96'"),
         ("replay run.mcap", "--rate", "fast", "must be 0.01 to 100, not 'fast'"),
         ("replay run.mcap", "--delay", "-1", "must be 0 to 3600, not '-1'"),
-    ],
-)
-def test_an_option_out_of_range_is_refused_with_the_range(command, option, value, words, capsys):
-    with pytest.raises(SystemExit, match=str(int(ExitCode.USAGE))):
-        cli.main([*command.split(), option, value])
-    assert f"argument {option}: {words}" in capsys.readouterr().err
+    ):
+        with pytest.raises(SystemExit, match=str(int(ExitCode.USAGE))):
+            cli.main([*command.split(), option, value])
+        assert f"argument {option}: {words}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -172,16 +169,10 @@ def test_the_default_at_the_end_of_an_option_s_help_is_its_default():
     assert wrong == {}
 
 
-@pytest.fixture
-def file(tmp_path, monkeypatch):
-    """Settings from all four sources."""
-    path = tmp_path / "armbridge.toml"
-    path.write_text('[server]\nport = 1\nhost = "::1"\n[goals]\ncapacity = 3\n')
+def test_every_value_is_told_with_its_source_as_json_and_in_a_table(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "armbridge.toml"
+    file.write_text('[server]\nport = 1\nhost = "::1"\n[goals]\ncapacity = 3\n')
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
-    return path
-
-
-def test_every_value_is_told_with_its_source_as_json_and_in_a_table(file, capsys):
     assert cli.main(["config", "--json", "--config", str(file), "--set", "goals.capacity=4"]) == ExitCode.DONE
     told = json.loads(capsys.readouterr().out)
     assert told["server.host"] == {"value": "::1", "source": "file"}

@@ -30,18 +30,15 @@ def test_plan_answers_a_file_with_a_table(tmp_path: Path, capsys: pytest.Capture
     assert "SUCCESS" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
+def test_bad_input_of_plan_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    for options, words in (
         (["--urdf", "a.urdf"], "--urdf and --srdf must be given together"),
         (["--urdf", "/nowhere.urdf", "--srdf", "/nowhere.srdf"], "cannot be read"),
         ([], "/nowhere.json: cannot be read"),
-    ],
-)
-def test_bad_input_of_plan_is_one_line(options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["plan", "/nowhere.json", *options]) == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert words in said
+    ):
+        assert cli.main(["plan", "/nowhere.json", *options]) == 2
+        (said,) = capsys.readouterr().err.splitlines()
+        assert words in said
 
 
 def test_built_in_arms_are_listed_and_shown_with_joints_and_servos(capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,9 +69,7 @@ def test_everything_that_is_wrong_with_a_folder_is_printed(tmp_path: Path, capsy
     assert "boom.stl" in capsys.readouterr().out
 
 
-def test_an_import_says_what_it_made_and_how_to_serve_it_also_of_packages_elsewhere(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_import_says_what_it_made_and_how_to_serve_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = write_package(tmp_path).rename(tmp_path / "arm.urdf")
     (tmp_path / "packages").mkdir()
     (tmp_path / "mesh_arm").rename(tmp_path / "packages" / "mesh_arm")
@@ -89,9 +84,7 @@ def test_an_import_says_what_it_made_and_how_to_serve_it_also_of_packages_elsewh
     assert robot_folder.load(out).model.default_group == "arm"
 
 
-def test_what_cannot_be_imported_replayed_or_emulated_is_one_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_what_a_command_cannot_do_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["robot", "import", str(tmp_path / "no.urdf")]) == ExitCode.FAILED
     assert capsys.readouterr().err.startswith(f"armbridge: {tmp_path / 'no.urdf'} cannot be read: ")
     (tmp_path / "notes.txt").write_text("no recording")
@@ -101,20 +94,17 @@ def test_what_cannot_be_imported_replayed_or_emulated_is_one_sentence(
     assert "armbridge: the start pose needs 6 positions, not 2" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
+def test_a_wrong_setting_is_one_line_and_exit_2(capsys):
+    for arguments, words in (
         (["--calibration", "nobodys"], "nobodys"),
         (["--port", "70000"], "server.port"),
         (["--urdf", "a.urdf"], "urdf and srdf must be given together"),
         (["--urdf", "/nowhere.urdf", "--srdf", "/nowhere.srdf"], "/nowhere.urdf cannot be read"),
         (["--config", "/nowhere.toml"], "/nowhere.toml cannot be read"),
-    ],
-)
-def test_a_wrong_setting_is_one_line_and_exit_2(arguments, words, capsys):
-    assert cli.main(["serve", *arguments]) == ExitCode.USAGE
-    (line,) = capsys.readouterr().err.splitlines()
-    assert words in line
+    ):
+        assert cli.main(["serve", *arguments]) == ExitCode.USAGE
+        (line,) = capsys.readouterr().err.splitlines()
+        assert words in line
 
 
 # tests/robot/description has all that is refused.

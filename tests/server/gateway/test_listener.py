@@ -45,9 +45,7 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Pair, Pair]:
     return make_pair(tmp_path_factory.mktemp("one")), make_pair(tmp_path_factory.mktemp("other"))
 
 
-def test_a_key_that_does_not_fit_or_has_a_passphrase_or_is_missing_is_named(
-    pairs: tuple[Pair, Pair], tmp_path: Path
-) -> None:
+def test_a_key_that_does_not_fit_or_is_missing_or_locked_is_named(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
     one, other = pairs
     with pytest.raises(ConfigurationError) as refused:
         Tls(one.certificate, other.key)
@@ -109,12 +107,6 @@ def pair(pairs: tuple[Pair, Pair]) -> Pair:
     return pairs[0]
 
 
-@pytest.fixture
-async def encrypted(pair: Pair) -> AsyncIterator[Listener]:
-    async with listening(over_tls_with(pair)) as listener:
-        yield listener
-
-
 def over_tls_with(pair: Pair | None, **limits: Any) -> ServerSettings:
     """Settings of a listener on a free port; None for one that does not encrypt."""
     files = {} if pair is None else {"tls_certificate": pair.certificate, "tls_key": pair.key}
@@ -162,9 +154,7 @@ def test_the_event_loop_of_the_server_carries_both(over_tls: bool, pair: Pair) -
     uvloop.run(serve_and_talk())
 
 
-async def test_a_connection_without_a_tls_handshake_is_closed_and_takes_no_slot(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_connection_without_a_tls_handshake_takes_no_slot(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listener_module, "TLS_HANDSHAKE_TIMEOUT_S", 0.5)
     async with listening(over_tls_with(pair, max_clients=1)) as listener:
         async with connected(listener.port) as (reader, _):
@@ -191,9 +181,10 @@ async def test_a_connection_that_gets_no_answer_ends_at_once_and_is_not_read(
     assert "Error" not in caplog.text
 
 
-async def test_a_client_without_tls_is_logged_once(encrypted: Listener, caplog: pytest.LogCaptureFixture) -> None:
-    for _ in range(2):
-        assert await exchange(encrypted.port, request()) == ""
+async def test_a_client_without_tls_is_logged_once(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
+    async with listening(over_tls_with(pair)) as listener:
+        for _ in range(2):
+            assert await exchange(listener.port, request()) == ""
     assert caplog.text.count("a client speaks ws:// or http://, and here is wss:// and https://") == 1
 
 
@@ -385,15 +376,13 @@ async def test_clients_beyond_the_system_s_limit_of_open_files_are_refused(monke
     assert "the limit is 2 (server.max_clients, reduced to the files that the system lets the server open)" in answer
 
 
-@pytest.mark.parametrize(("host", "urls"), [("127.0.0.1", []), ("0.0.0.0", ["http://10.0.0.2:{port}/"])])
-async def test_other_machines_find_the_page_at_the_addresses_of_this_one(
-    host: str, urls: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_other_machines_find_the_page_at_the_addresses_of_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.gateway.listener.host_addresses", lambda: ["10.0.0.2", "fd00::2"])
     access = Access(AccessSettings(insecure=True))
-    listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0), access=access)
-    await listener.bind()
-    try:
-        assert listener.page_urls_elsewhere == [url.format(port=listener.port) for url in urls]
-    finally:
-        await listener.close()
+    for host, urls in (("127.0.0.1", []), ("0.0.0.0", ["http://10.0.0.2:{port}/"])):
+        listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0), access=access)
+        await listener.bind()
+        try:
+            assert listener.page_urls_elsewhere == [url.format(port=listener.port) for url in urls]
+        finally:
+            await listener.close()

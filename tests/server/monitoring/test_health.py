@@ -243,9 +243,7 @@ def test_one_that_does_not_read_holds_nobody_up(notifier: SystemdNotifier) -> No
     notifier.notify_watchdog()
 
 
-def test_without_one_nothing_is_told_and_an_unreachable_one_is_logged(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_without_one_nothing_is_told_and_a_lost_one_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     notifier = SystemdNotifier.from_environment({}, 7)
     notifier.notify_ready("ready")
     assert notifier.watchdog_s == 0.0

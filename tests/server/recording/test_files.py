@@ -128,9 +128,7 @@ def test_latched_messages_begin_every_file_up_to_a_limit(tmp_path: Path, monkeyp
     assert topics(tmp_path / "run_1.mcap") == ["/small", "/picture"]
 
 
-def test_a_file_with_all_the_channels_that_it_can_number_is_followed_by_the_next(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_with_all_its_channels_is_followed_by_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "MAX_CHANNELS", 3)
     record(tmp_path / "run.mcap", [text(number, f"/t{number % 5}") for number in range(7)])
     recorded = [recorded_messages(tmp_path / name) for name in ("run.mcap", "run_1.mcap", "run_2.mcap")]

@@ -145,9 +145,7 @@ async def test_what_was_latched_is_so_again_and_what_is_unreadable_told(
     assert len([line for line in caplog.messages if "/t: a message of std_msgs/msg/String cannot be read" in line]) == 1
 
 
-async def test_topics_of_the_server_unknown_types_and_second_types_are_left_out_and_told(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_topics_that_cannot_be_offered_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     own = entry("/client_count", "std_msgs/Int32", {"data": 9})
     played = Player(tmp_path, [own, text(1), entry("/t", "std_msgs/Bool", {}, 2)])
     played.player.advertise([RecordedTopic("/own", "my_msgs/msg/Thing", False)])

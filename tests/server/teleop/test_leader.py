@@ -124,9 +124,8 @@ JOINTS = [joint.name for joint in ROBOT.movable_joints]
 PAN = ROBOT.joints["shoulder_pan"]
 
 
-@pytest.mark.parametrize(
-    ("leader", "options", "positions_rad", "targets_rad"),
-    [
+def test_joints_follow_those_of_the_same_name_or_as_the_request_says() -> None:
+    for leader, options, positions_rad, targets_rad in (
         (
             [f"left_{name}" for name in JOINTS],
             {"leader_prefix": "left_"},
@@ -137,15 +136,10 @@ PAN = ROBOT.joints["shoulder_pan"]
         (JOINTS, {}, {"shoulder_pan": 9.0}, {"shoulder_pan": PAN.upper}),
         (JOINTS, {"mirror": True}, {"shoulder_pan": 0.4, "elbow_flex": 0.4}, {"shoulder_pan": -0.4, "elbow_flex": 0.4}),
         (["a", "b"], {"pairs": (["b"], ["wrist_roll"])}, {"a": 0.1, "b": 0.2}, {"wrist_roll": 0.2}),
-    ],
-    ids=["below another prefix", "scaled", "within the limits", "mirrored", "pairs"],
-)
-def test_joints_follow_those_of_the_same_name_or_as_the_request_says(
-    leader: list[str], options: dict[str, Any], positions_rad: dict[str, float], targets_rad: dict[str, float]
-) -> None:
-    joints = joint_map(ROBOT, "", leader, **options)
-    assert joints.targets_rad(positions_rad) == targets_rad
-    assert [link.follower for link in joints.links] == (["wrist_roll"] if "pairs" in options else JOINTS)
+    ):
+        joints = joint_map(ROBOT, "", leader, **options)
+        assert joints.targets_rad(positions_rad) == targets_rad
+        assert [link.follower for link in joints.links] == (["wrist_roll"] if "pairs" in options else JOINTS)
 
 
 def test_in_the_mirror_pan_and_roll_turn_the_other_way() -> None:

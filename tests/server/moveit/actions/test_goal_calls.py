@@ -139,9 +139,7 @@ NOT_READ: list[tuple[dict[str, Any], int, str]] = [
 
 
 @pytest.mark.parametrize(("request_", "code", "words"), NOT_READ)
-async def test_a_wrong_request_gets_its_code_and_moves_nothing(
-    desk: Desk, request_: dict[str, Any], code: int, words: str
-) -> None:
+async def test_a_wrong_request_moves_nothing(desk: Desk, request_: dict[str, Any], code: int, words: str) -> None:
     await desk.ask(**request_)
     assert (desk.answer["success"], desk.answer["code"]) == (False, code)
     assert words in desk.answer["message"]

@@ -237,9 +237,7 @@ def trajectory(position_rad: float, seconds: int = 2) -> dict[str, object]:
     return {"joint_trajectory": {"joint_names": ["elbow_flex"], "points": [point]}}
 
 
-async def test_a_trajectory_without_points_is_done_at_once_and_multi_dof_joints_are_only_logged(
-    desk: ActionDesk, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_trajectory_without_points_is_done_at_once(desk: ActionDesk, caplog: pytest.LogCaptureFixture) -> None:
     await desk.send(move_group.EXECUTE_ACTION, trajectory={"multi_dof_joint_trajectory": {"points": [{}]}})
     assert (codes(desk), desk.asked) == ([1], [])
     assert "multi_dof_joint_trajectory is ignored" in caplog.text

@@ -103,9 +103,7 @@ def test_the_package_may_have_the_name_of_the_robot_or_of_its_folder_or_of_one_w
     assert files_in(files).find("package://assets/base.stl") == files / "assets" / "base.stl"
 
 
-@pytest.fixture
-def packaged(tmp_path: Path) -> RobotFiles:
-    """Files of an arm whose URDF is in one package and whose meshes are in another, beside it."""
+def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(tmp_path: Path) -> None:
     (tmp_path / "arm_meshes" / "meshes" / "visual").mkdir(parents=True)
     (tmp_path / "arm_meshes" / "secret.stl").write_text("key")
     for name in ("base.dae", "skin.png", "notes.txt"):
@@ -113,10 +111,7 @@ def packaged(tmp_path: Path) -> RobotFiles:
     folder = tmp_path / "arm_description" / "urdf"
     folder.mkdir(parents=True)
     meshes = "package://arm_meshes/meshes/visual/base.dae", "package://gone/a.stl"
-    return RobotFiles(replace(ROBOT, urdf=urdf(*meshes), mesh_directory=folder, package_directories=(tmp_path,)))
-
-
-def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(packaged: RobotFiles) -> None:
+    packaged = RobotFiles(replace(ROBOT, urdf=urdf(*meshes), mesh_directory=folder, package_directories=(tmp_path,)))
     visual = "package://arm_meshes/meshes/visual"
     for name in ("base.dae", "skin.png"):
         assert packaged.read(f"{visual}/{name}") == name.encode()

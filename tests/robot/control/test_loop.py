@@ -207,6 +207,7 @@ def test_a_server_that_is_gone_ends_the_loop(
     # Relaxing takes two seconds.
     assert 1.5 <= channel.now_s < 4.5
     assert "end state" not in caplog.text
+    assert f"the server is gone: {'stopping' if opens else 'nothing moves'}" in caplog.text
     ((_, ended),) = channel.kept(MotionEnded)
     assert ended.outcome is (Outcome.STOPPED if opens else Outcome.BUS_LOST)
 

@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from harness.clients import ArmClient, arm_client, values_of
-from harness.server import ServerOnBus
+from harness.clients import values_of
 from server.access.authorization import Access
 from server.access.control_lease import RESERVED_S, ControlLease, ControlServices
 from server.access.settings import AccessSettings
@@ -195,29 +194,3 @@ def test_a_client_is_told_what_it_is_called_and_what_it_may_do(world: World) -> 
     answered = world.call("a", "/arm/who_am_i")
     told = {"name": "a", "address": "10.0.0.1:5", "role": "admin", "version": metadata.version("armbridge")}
     assert json.loads(answered["message"]) == told
-
-
-async def test_over_sockets_one_drives_others_are_told_and_anyone_stops(client: ArmClient, served: ServerOnBus) -> None:
-    async with arm_client(served.server.url) as other:
-        for each in (client, other):
-            await each.say("subscribe", topic="/moveit_goal_result", type="moveit_msgs/MoveItErrorCodes")
-        # Another test may have left the arm at either place.
-        turned = (await client.until("/joint_states", bool))[-1]["position"][0] > 0.0
-        goal = {"name": ["shoulder_pan"], "position": [-1.2 if turned else 1.2]}
-        # The motion lasts for all that follows, however busy the machine is.
-        await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.02})
-        await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", goal)
-        await client.until_mode("moving")
-
-        await other.goal("/moveit_goal_named", "std_msgs/String", {"data": "home"})
-        refused = (await other.until("/moveit_goal_result", bool))[0]
-        assert refused["val"] == -4
-        assert "has controlled the arm since" in refused["message"]
-        action = await other.send_goal("/move_action", "moveit_msgs/action/MoveGroup", {})
-        assert "has controlled the arm since" in (await other.result(action))["values"]
-        assert not (await other.call("/arm/release_control"))["success"]
-
-        await other.goal("/stop", "std_msgs/Empty", {})
-        stopped = (await client.until("/moveit_goal_result", bool))[0]
-        await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 1.0})
-        assert (stopped["val"], "/stop" in stopped["message"]) == (-7, True)

@@ -515,16 +515,6 @@ def test_an_arm_adopted_only_in_part_is_a_fault_after_a_reconnect(emulator: Step
     assert rig.torque() == [1, 1, 1, 1, 0, 1]
 
 
-def test_a_gripper_moves_beside_the_arm(rig: ArmRig) -> None:
-    rig.execute(PAN, motion_id=1)
-    rig.execute(smooth_move({"gripper": (0.0, 0.6)}, 1.0), motion_id=2, torque_share=0.5)
-    rig.run(0.3)
-    assert rig.bus.read(6, Register.TORQUE_LIMIT) == 250
-    rig.until(lambda: len(rig.ended) == 2)
-    assert rig.outcomes == [Outcome.REACHED] * 2
-    assert rig.bus.read(6, Register.TORQUE_LIMIT) == 500
-
-
 def test_a_motion_requested_before_the_last_stop_does_not_begin(rig: ArmRig) -> None:
     rig.supervisor.handle(Stop(epoch=7))
     rig.execute(PAN, 1, epoch=6)

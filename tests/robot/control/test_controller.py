@@ -252,7 +252,7 @@ def test_a_soft_arm_that_droops_by_what_its_gain_explains_has_arrived() -> None:
         assert rig.until_end(lag=droop)[0].outcome is outcome
 
 
-@pytest.mark.parametrize(("temperature_c", "slower"), [(59.9, 1.0), (60.0, 2.0)])
+@pytest.mark.parametrize(("temperature_c", "slower"), [(59.9, 1.0), (60.0, 2.0), (64.0, 2.0)])
 def test_a_hot_servo_slows_a_motion_and_a_stream_down(rig: Rig, temperature_c: float, slower: float) -> None:
     hot = [30.0, 30.0, temperature_c, 30.0, 30.0, 30.0]
     rig.controller.execute(Execute(1, PAN))

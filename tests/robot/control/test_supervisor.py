@@ -154,12 +154,15 @@ def test_relaxing_stops_the_motion_first_refuses_others_and_ends_verified(moving
     assert (moving.mode, moving.torque()) == (Mode.RELAXED, [0] * 6)
 
 
-def test_an_emergency_stop_cuts_torque_in_one_tick_is_verified_and_its_reset_enables_nothing(moving: ArmRig) -> None:
+def test_an_emergency_stop_cuts_torque_in_one_tick_is_verified_and_its_reset_enables_nothing(
+    moving: ArmRig, caplog: pytest.LogCaptureFixture
+) -> None:
     number = moving.begin(Order.EMERGENCY_STOP)
     assert moving.torque() == [0] * 6
     assert moving.fault_code == "emergency_stop"
     assert moving.outcomes == [Outcome.FAULT]
     assert moving.wait(number).done
+    assert len(lines(caplog, "emergency stop: torque is off")) == 1
     assert not moving.order(Order.ENABLE).done
     for order, mode in ((Order.RESET_FAULT, Mode.RELAXED), (Order.ENABLE, Mode.HOLDING)):
         assert moving.order(order).done

@@ -83,9 +83,7 @@ def world() -> World:
     return World(["https://10.0.0.2:9090/"], admin_tokens={"ada": ADA}, operate_tokens={"otto": OTTO})
 
 
-async def test_an_administrator_lets_one_connection_in_until_it_ends(
-    world: World, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_an_administrator_lets_one_connection_in(world: World, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.DEBUG)
     world.enter("page", ADMIN)
     answered = world.ask("page")

@@ -302,6 +302,13 @@ def test_a_collision_mesh_that_is_not_there_stops_the_reading_with_file_and_link
         assert words in str(refused.value)
 
 
+def test_a_mesh_that_takes_gigabytes_to_load_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "large.stl").open("wb") as file:
+        file.truncate(50_000_001)
+    with pytest.raises(DescriptionError, match=r"large\.stl has 50000001 bytes, 50000000 are allowed"):
+        model.parse(urdf("large.stl", "collision"), MESH_SRDF, mesh_directory=tmp_path)
+
+
 def test_a_mesh_that_is_only_seen_is_missed_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
         model.parse(urdf("gone.dae", "visual"), MESH_SRDF, mesh_directory=tmp_path)

@@ -23,7 +23,7 @@ from server.graph.topics import Graph, Subscriber
 from server.interfaces import load_registry
 from server.recording import replay
 from server.recording.files import RecordedMessage
-from server.recording.replay import MAGIC, RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, serve
+from server.recording.replay import MAGIC, RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, messages, serve
 from tests.conformance.cases import INTERFACES
 from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
@@ -251,3 +251,26 @@ async def test_types_of_the_users_packages_are_replayed_where_the_settings_name_
     async with asyncio.timeout(TIMEOUT_S):
         await served(replace(options, server=ServerSettings(port=0, interfaces=interfaces)))
     assert f"replay ended: {published} messages published" in caplog.text
+
+
+BAG = "rosbag2_bagfile_information"
+BAGS = [
+    ({}, "run: has no metadata.yaml; ros2 bag reindex writes it"),
+    ({"metadata.yaml": "- 1"}, "run: metadata.yaml does not describe the files of a bag"),
+    ({"metadata.yaml": "{"}, "run: metadata.yaml does not describe the files of a bag"),
+    ({"metadata.yaml": f"{BAG}: {{compression_mode: FILE, relative_file_paths: []}}"}, "run: is compressed"),
+    ({"metadata.yaml": f"{BAG}: {{relative_file_paths: [../../a.db3]}}"}, "run/a.db3: cannot be read: No such"),
+    (
+        {"metadata.yaml": f"{BAG}: {{relative_file_paths: [a.db3]}}", "a.db3": "text of no database, at length"},
+        "run/a.db3: is no SQLite file of rosbag2: file is not a database",
+    ),
+]
+
+
+@pytest.mark.parametrize(("files", "sentence"), BAGS)
+def test_a_bag_that_cannot_be_read_is_refused(files: dict[str, str], sentence: str, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    for name, content in files.items():
+        (tmp_path / "run" / name).write_text(content)
+    with pytest.raises(RecordingError, match=sentence):
+        list(messages(tmp_path / "run"))

@@ -28,6 +28,7 @@ NUMBERS: Mapping[str, Mapping[str, int]] = {
 }
 
 MAX_LINKS = 500  # more than any arm has; bounds the work that a file can cause
+MAX_NUMBER = 1e100  # what is computed with larger ones is infinite
 MAX_SHOWN = 80  # characters of a wrong value in an error
 
 
@@ -75,7 +76,7 @@ def _numbers(element: ET.Element, name: str, count: int, where: str) -> list[flo
         values = [math.nan if "_" in word else float(word) for word in text.split()]
     except ValueError:
         values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
+    if len(values) != count or not all(abs(value) <= MAX_NUMBER for value in values):
         wanted = "a finite number" if count == 1 else f"{count} finite numbers"
         raise DescriptionError(where, f"{name} must be {wanted}, not {text[:MAX_SHOWN]!r}")
     return values

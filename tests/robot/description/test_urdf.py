@@ -76,6 +76,7 @@ BROKEN_URDF = {
     "letters": (HAND.replace("<limit", '<axis xyz="a b c"/><limit', 1), "'grip' <axis> xyz must be 3 finite numbers"),
     "a number too few": (HAND.replace("<limit", '<origin rpy="0 0"/><limit', 1), "<origin> rpy must be 3 finite"),
     "an underscore": (HAND.replace('"0.2"', '"1_0"'), "velocity must be a finite number, not '1_0'"),
+    "no end": (HAND.replace('"0.04"', '"1e308"'), "upper must be a finite number, not '1e308'"),
     "a shape": (
         HAND.replace('"palm"/>', '"palm"><collision><geometry><sphere radius="nan"/></geometry></collision></link>', 1),
         "link 'palm' <sphere> radius must be a finite number, not 'nan'",

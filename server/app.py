@@ -50,6 +50,7 @@ from server.lifecycle import (
     BackgroundTask,
     Feature,
     Part,
+    Threads,
     on_hangup,
     start_in_order,
     stop_in_reverse,
@@ -84,6 +85,7 @@ def serve(settings: Settings, arm_process: StartedChild | None = None, inherited
     notifier = SystemdNotifier.from_environment()
 
     async def run(settings: Settings) -> None:
+        asyncio.get_running_loop().set_default_executor(Threads())
         app = App(settings, arm_process, inherited, notifier=notifier)
         while (following := await app.run()) is not None:
             settings, recalibrated = following

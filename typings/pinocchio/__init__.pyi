@@ -77,6 +77,7 @@ class GeometryObject:
     parentFrame: int
     placement: SE3
     geometry: CollisionGeometry
+    meshPath: str
     def __init__(
         self,
         name: str,

@@ -1,5 +1,7 @@
 """Shapes, and collisions between them."""
 
+import math
+import struct
 from dataclasses import replace
 
 import coal
@@ -227,6 +229,9 @@ def test_meshes_beside_the_urdf_are_replaced_by_hulls_and_one_gone_or_unreadable
         shapes_of(robot)
     with pytest.raises(ShapeError, match=r": cannot be loaded: Could not load resource \S+/boom\.stl [^\n]+$"):
         shapes_of(crane(tmp_path, bytes(200)))
+    numbers = struct.pack("<12fH", *[math.nan] * 12, 0)
+    with pytest.raises(ShapeError, match=r"a vertex of \S+/boom\.stl is no finite number$"):
+        shapes_of(crane(tmp_path, bytes(80) + struct.pack("<I", 1) + numbers))
     # So is a robot without any shape.
     bare = model.parse(kinematic_urdf(model.parse(CRANE_URDF, CRANE_SRDF)), CRANE_SRDF)
     with pytest.raises(ShapeError, match="no link has a collision shape"):

@@ -276,3 +276,10 @@ def test_a_mesh_that_is_not_there_is_refused_with_the_paths_tried_or_missed_in_t
     # One that is there has its path for a name.
     text = with_mesh_paths(urdf("../meshes/b.stl"), package / "urdf", ())
     assert f'filename="{package / "meshes" / "b.stl"}"' in text
+
+
+def test_a_mesh_that_takes_gigabytes_to_load_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "large.stl").open("wb") as file:
+        file.truncate(50_000_001)
+    with pytest.raises(DescriptionError, match=r"large\.stl has 50000001 bytes, 50000000 are allowed"):
+        model.parse(urdf("large.stl"), MESH_SRDF, mesh_directory=tmp_path)

@@ -138,6 +138,38 @@ def test_all_problems_of_the_files_are_told_at_once_and_what_is_missing_or_no_nu
     assert problem == "robot.urdf: is missing, and the folder has no .urdf file: name one"
 
 
+ALIASES = "a0: &a0 [1]\n" + "".join(f"a{n + 1}: &a{n + 1} [{', '.join([f'*a{n}'] * 9)}]\n" for n in range(30))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("limits.yaml", f"{ALIASES}joint_limits: {{a1: *a30}}", "joint_limits.a1 must be a mapping, not [["),
+        (
+            "limits.yaml",
+            f"joint_limits: {{a1: {{has_velocity_limits: true, max_velocity: {10**400}}}}}",
+            "joint_limits.a1.max_velocity must be a number, not 1000",
+        ),
+        ("limits.yaml", "[" * 10_000, "limits.yaml cannot be read: maximum recursion depth exceeded"),
+        ("hulls.json", "[" * 100_000, "hulls.json cannot be read: maximum recursion depth exceeded"),
+        (
+            "hulls.json",
+            '{"links": {"hand": {"vertices": [[NaN, 0, 0]], "triangles": []}}}',
+            "hulls.json must have vertices and triangles for each link: a vertex has a coordinate that is no finite",
+        ),
+        ("robot.toml", f"a = {'[' * 10_000}", "is no TOML: maximum recursion depth exceeded"),
+    ],
+    ids=["aliases", "a number of 400 digits", "deep YAML", "deep JSON", "no number", "deep TOML"],
+)
+def test_a_hostile_file_is_refused_in_one_sentence(tmp_path: Path, name: str, content: str, words: str) -> None:
+    key = {"limits.yaml": "joint_limits", "hulls.json": "hulls"}.get(name, "title")
+    folder = arm_folder(tmp_path, f'[robot]\n{key} = "{name}"')
+    (folder / name).write_text(content)
+    (problem,) = robot_folder.problems(str(folder))
+    assert words in problem
+    assert len(problem) < 1000
+
+
 def test_a_built_in_arm_is_found_by_its_name_and_a_folder_by_its_path(tmp_path: Path) -> None:
     assert robot_folder.resolve("so101").model.links == so101().links
     assert robot_folder.resolve(str(arm_folder(tmp_path))).model.name == "seven"

@@ -73,6 +73,15 @@ BROKEN_URDF = {
     "two of a name": (HAND.replace('name="other"', 'name="grip"'), "two joints of the name 'grip'"),
     "two parents": (HAND.replace('<child link="tip"/>', '<child link="left"/>'), "'left' is the child of two joints"),
     "unknown type": (HAND.replace('type="revolute"', 'type="hinge"'), "unknown type 'hinge'"),
+    "letters": (HAND.replace("<limit", '<axis xyz="a b c"/><limit', 1), "'grip' <axis> xyz must be 3 finite numbers"),
+    "a number too few": (HAND.replace("<limit", '<origin rpy="0 0"/><limit', 1), "<origin> rpy must be 3 finite"),
+    "an underscore": (HAND.replace('"0.2"', '"1_0"'), "velocity must be a finite number, not '1_0'"),
+    "no end": (HAND.replace('"0.04"', '"1e308"'), "upper must be a finite number, not '1e308'"),
+    "a shape": (
+        HAND.replace('"palm"/>', '"palm"><collision><geometry><sphere radius="nan"/></geometry></collision></link>', 1),
+        "link 'palm' <sphere> radius must be a finite number, not 'nan'",
+    ),
+    "links without end": (HAND.replace("</robot>", '<link name="a"/>' * 500 + "</robot>"), "504 links, 500 are"),
     "ring of links": (HAND.replace('<parent link="right"/>', '<parent link="tip"/>'), "to one another in a ring"),
 }
 
@@ -254,6 +263,10 @@ BROKEN_SRDF = {
     "ring of groups": (
         '<group name="a"><group name="b"/></group><group name="b"><group name="a"/></group>',
         "contains itself: a -> b -> a",
+    ),
+    "groups within each other": (
+        "".join(f'<group name="g{n}"><group name="g{n + 1}"/></group>' for n in range(3000)) + '<group name="g3000"/>',
+        "group 'g21' is nested in more than 20 groups",
     ),
     "effector's group": (f'{LEFT}<end_effector name="e" group="q" parent_link="l1"/>', "the group 'q'"),
     "effector's link": (f'{LEFT}<end_effector name="e" group="left" parent_link="q"/>', "'e' names the link 'q'"),

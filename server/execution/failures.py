@@ -49,12 +49,13 @@ async def with_nearest_goal(
     """
     match problem:
         case PlanningProblem() if failure.code in SUGGESTED_FOR or _beyond_limits(failure, problem):
-            question = NearestGoalQuestion(problem, code=failure.code)
+            pass
         case CartesianProblem() if failure.code in SUGGESTED_FOR_PATHS:
-            question = NearestGoalQuestion(problem, code=failure.code)
+            pass
         case _:
             return failure
     try:
+        question = NearestGoalQuestion(problem, code=failure.code)
         answer = await asyncio.wait_for(pool.ask(question, scene), ASKING_TIMEOUT_S)
     except TimeoutError:
         return failure

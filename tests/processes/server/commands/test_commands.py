@@ -3,7 +3,9 @@
 import asyncio
 import io
 import json
+import os
 import re
+import signal
 import socket
 import stat
 import subprocess
@@ -107,6 +109,20 @@ def test_a_port_in_use_is_named_before_anything_starts(tmp_path: Path, capsys: p
         assert cli.main(["classroom", *options]) != 0
     assert f"port {port}, for student02, cannot be taken" in capsys.readouterr().err
     assert not (tmp_path / "class").exists()
+
+
+def armbridge(*arguments: str) -> AbstractContextManager[subprocess.Popen[str]]:
+    """Run a command of armbridge at a terminal of its own."""
+    pipe = subprocess.PIPE
+    return running([sys.executable, "-m", "server.cli", *arguments], stdin=pipe, stdout=pipe, stderr=pipe)
+
+
+def test_ctrl_c_ends_a_replay_that_still_reads_its_file(tmp_path: Path) -> None:
+    pipe = tmp_path / "endless.mcap"
+    os.mkfifo(pipe)
+    with armbridge("replay", str(pipe), "--port", "0") as replay, pipe.open("wb"):
+        replay.send_signal(signal.SIGINT)
+        assert replay.wait(TIMEOUT_S) == ExitCode.FAILED
 
 
 TOKENS = {name: f"{name}-0123456789abcdef" for name in ("own", "admin", "filed", "variable")}

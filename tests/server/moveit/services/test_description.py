@@ -60,10 +60,12 @@ def files(tmp_path: Path) -> Path:
 
 
 def test_meshes_named_by_a_path_get_package_urls_and_others_keep_theirs() -> None:
-    served = with_package_urls(urdf("assets/base.stl", "./assets/arm.stl", "package://other/a.stl"), PACKAGE)
+    served = with_package_urls(
+        replace(ROBOT, urdf=urdf("assets/base.stl", "./assets/arm.stl", "package://other/a.stl"))
+    )
     names = [str(mesh.get("filename")).replace(PACKAGE, "own") for mesh in ET.fromstring(served).iter("mesh")]
     assert names == ["package://own/assets/base.stl", "package://own/assets/arm.stl", "package://other/a.stl"]
-    assert with_package_urls(ROBOT.urdf, PACKAGE) == ROBOT.urdf
+    assert with_package_urls(ROBOT) == ROBOT.urdf
 
 
 def files_in(directory: Path | None) -> RobotFiles:

@@ -6,8 +6,16 @@ from typing import Any
 
 import pytest
 
-from server.classroom.classroom import run_classroom
-from server.classroom.students import LIST_FILE, TEACHER, new_token, places, reachable_name, read_tokens, write_list
+from server.classroom import (
+    LIST_FILE,
+    TEACHER,
+    new_token,
+    places,
+    reachable_name,
+    read_tokens,
+    run_classroom,
+    write_list,
+)
 from server.config import Settings
 from server.errors import ConfigurationError, StartError
 
@@ -36,7 +44,7 @@ def test_a_bad_classroom_is_refused_before_it_is_made(
 
 def test_students_by_name_have_physics_and_the_others_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     served: list[str] = []
-    module = "server.classroom.classroom"
+    module = "server.classroom"
     monkeypatch.setattr(f"{module}.serve", lambda settings, *_: served.append(settings.simulation.kind))
     monkeypatch.setattr(f"{module}.supervise", lambda members, _check: [member.run() for member in members[1:]])
     run_classroom(Settings.model_validate({"server": {"port": 0}}), 3, 2, tmp_path, ["student02"])

@@ -91,7 +91,7 @@ async def test_setpoints_go_out_under_the_streams_number_until_it_has_ended() ->
     assert [(each.motion_id, each.velocity_rad_s.tolist()) for each in sent] == [(5, [0.3])]
 
 
-KINDS = ["emulated Dynamixel servos", "emulated, clone", "pseudo terminal, ros2_driver", "real arm"]
+KINDS = ["emulated Dynamixel servos", "emulated, clone", "real arm"]
 
 
 @pytest_asyncio.fixture(loop_scope="module", scope="module", params=KINDS)

@@ -19,7 +19,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client
 from harness.server import RunningServer, free_port, read_write_log
-from harness.waiting import TIMEOUT_S, until
+from harness.waiting import TIMEOUT_S, running, until
 from planners.shared_pool import LONGEST_PLANNING_S
 from robot.calibration import save
 from server import cli
@@ -111,16 +111,11 @@ def test_a_port_in_use_is_named_before_anything_starts(tmp_path: Path, capsys: p
     assert not (tmp_path / "class").exists()
 
 
-def armbridge(*arguments: str) -> AbstractContextManager[subprocess.Popen[str]]:
-    """Run a command of armbridge at a terminal of its own."""
-    pipe = subprocess.PIPE
-    return running([sys.executable, "-m", "server.cli", *arguments], stdin=pipe, stdout=pipe, stderr=pipe)
-
-
 def test_ctrl_c_ends_a_replay_that_still_reads_its_file(tmp_path: Path) -> None:
     pipe = tmp_path / "endless.mcap"
     os.mkfifo(pipe)
-    with armbridge("replay", str(pipe), "--port", "0") as replay, pipe.open("wb"):
+    command = [sys.executable, "-m", "server.cli", "replay", str(pipe), "--port", "0"]
+    with running(command, stderr=subprocess.DEVNULL) as replay, pipe.open("wb"):
         replay.send_signal(signal.SIGINT)
         assert replay.wait(TIMEOUT_S) == ExitCode.FAILED
 

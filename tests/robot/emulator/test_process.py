@@ -3,6 +3,7 @@ import json
 import os
 import random
 import re
+import select
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
@@ -11,10 +12,11 @@ from pathlib import Path
 import pytest
 import serial
 
+from harness.waiting import TIMEOUT_S
 from robot.calibration import MAX_TICK, Calibration, save
 from robot.emulator import process
 from robot.emulator.arm import InProcessPort
-from robot.emulator.control import Emulation, LiveCommand, answer, check
+from robot.emulator.control import Controller, Emulation, LiveCommand, answer, check
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.process import REHEARSALS, Rehearsal, TimedCommand, UsbAdapter
 from robot.emulator.servo_bus import EmulatedBus, Faults, Reply
@@ -122,6 +124,34 @@ def test_an_adapter_that_is_pulled_takes_port_link_and_queue_away(adapter, clien
     there, descriptors = adapter.port, adapter.descriptors
     adapter.plug_in(renamed=True)
     assert (adapter.port, adapter.descriptors) == (there, descriptors)
+
+
+class SteppedHost:
+    """Time that passes while an emulator waits, and a host that sends it a byte now and then."""
+
+    def __init__(self, line: serial.Serial, sends_at_s: list[float]) -> None:
+        self.now_s = 0.0
+        self._line, self._sends_at_s = line, sends_at_s
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def select(self, watched: list[int], *_: object) -> tuple[list[int], list[int], list[int]]:
+        self.now_s += TICK_S
+        if not self._sends_at_s or self.now_s < self._sends_at_s[0]:
+            return [], [], []
+        self._sends_at_s.pop(0)
+        self._line.write(b"x")
+        return select.select(watched, [], [], TIMEOUT_S)
+
+
+def test_an_emulator_whose_controller_has_ended_serves_on_until_the_bus_is_silent(adapter, client, monkeypatch):
+    host, controller = SteppedHost(client, [0.5, 1.4]), Controller(-1, -1)
+    controller.gone = True
+    monkeypatch.setattr(process, "time", host)
+    monkeypatch.setattr(process, "select", host)
+    process.serve(bus_of(), adapter, controller, Rehearsal(), essential=True)
+    assert host.now_s == pytest.approx(1.4 + process.LINGER_S, abs=2 * TICK_S)
 
 
 @contextlib.contextmanager

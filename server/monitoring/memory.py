@@ -71,7 +71,6 @@ class CollectorPolicy:
         gc.callbacks.append(self._on_collection)
 
     def stop(self) -> None:
-        """Put the collector back to what it was."""
         if self._before is not None:
             gc.callbacks.remove(self._on_collection)
             gc.set_threshold(*self._before)
@@ -136,7 +135,6 @@ class MemoryKeeper:
             await self.check(time.monotonic())
 
     async def check(self, now_s: float) -> None:
-        """Collect or trim where it is due."""
         resident = self._read_bytes()
         settled = resident <= self._latest_bytes + SETTLED_BYTES
         self._latest_bytes = resident

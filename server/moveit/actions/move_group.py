@@ -68,7 +68,6 @@ class PlanningGoal:
 
 
 def move_group_result(answer: Answer, robot: RobotModel) -> Message:
-    """Write the result of moveit_msgs/MoveGroup."""
     performed = answer.performed
     return {
         "error_code": _explained_code(answer, robot),
@@ -80,7 +79,6 @@ def move_group_result(answer: Answer, robot: RobotModel) -> Message:
 
 
 def sequence_result(answer: Answer, robot: RobotModel) -> Message:
-    """Write the result of moveit_msgs/MoveGroupSequence."""
     performed = answer.performed
     response = {
         "error_code": _explained_code(answer, robot),

@@ -216,7 +216,6 @@ class ProblemBuilder:
         return BuiltProblem(problem, tuple(context.warnings))
 
     def ik(self, request: Message, group: Group, seed_rad: Positions) -> BuiltProblem[IkQuestion]:
-        """Build the question of a moveit_msgs/PositionIKRequest."""
         context = self.context(group, seed_rad)
         constraints = read_path_constraints(request["constraints"], context, "ik_request.constraints")
         timeout_s = max(read_seconds(request["timeout"], "ik_request.timeout"), 0.0)

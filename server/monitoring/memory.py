@@ -56,12 +56,7 @@ class CollectorPolicy:
         self._keeps_frozen = keeps_frozen
         self._before: tuple[int, int, int] | None = None
         self._began_s = 0.0
-        self._frozen = False
-
-    @property
-    def overdue(self) -> bool:
-        """True when objects were left out of collections since the last collection of all."""
-        return self._frozen
+        self.overdue = False  # true when objects were left out of collections since the last collection of all
 
     def start(self) -> None:
         """Collect, leave what lives as long as the server out of all that follow, and watch these."""
@@ -82,7 +77,7 @@ class CollectorPolicy:
             gc.unfreeze()
         gc.collect()
         gc.freeze()
-        self._frozen = False
+        self.overdue = False
 
     def _on_collection(self, phase: str, info: dict[str, Any]) -> None:
         if info["generation"] < len(THRESHOLDS) - 1:
@@ -91,7 +86,7 @@ class CollectorPolicy:
             self._began_s = self._clock()
         elif self._clock() - self._began_s > FREEZE_ABOVE_S:
             gc.freeze()
-            self._frozen = True
+            self.overdue = True
 
 
 def resident_bytes() -> int:

@@ -6,7 +6,6 @@ import pytest
 from websockets.asyncio.client import connect
 
 from harness.waiting import until
-from server.access.rate_limits import client_key
 from server.gateway import admission as admission_module
 from server.gateway.admission import ANSWERS_PER_S, BURST_TIME_S, MAX_ANSWERED, ConnectionLimiter, ConnectionSlot
 from server.gateway.settings import ServerSettings
@@ -165,11 +164,3 @@ async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(capl
             each.close()
         await until_empty(listener)
     assert caplog.text.count("new connections come too often; the limit is 5 a second") == 1
-
-
-def test_a_network_of_ipv6_is_one_peer_and_ipv4_is_the_same_in_both_families() -> None:
-    assert client_key("2001:db8::1") == client_key("2001:db8::ffff:2") != client_key("2001:db8:0:1::1")
-    assert client_key("::ffff:192.0.2.1") == client_key("192.0.2.1") != client_key("192.0.2.2")
-    assert client_key("fe80::1%eth0") == client_key("fe80::2%eth1")
-    assert client_key("::1") != client_key("::2")
-    assert client_key("unknown") == "unknown"

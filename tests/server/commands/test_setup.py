@@ -3,6 +3,7 @@
 import functools
 import os
 import re
+import signal
 from collections.abc import Callable
 
 import pytest
@@ -256,6 +257,27 @@ def test_a_servo_unplugged_while_it_is_written_is_asked_for_again(run_setup, kit
     assert "gave no valid reply" in person.said
     assert kit.servos[5].value(Register.LOCK) == 1
     assert ids(kit) == [1, 1, 1, 1, 1, 6]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(("register", "value"), [(Register.ID, 6), (Register.BAUD_RATE, 0)])
+def test_a_signal_while_a_servo_takes_a_new_id_or_baud_rate_leaves_it_locked(
+    run_setup, kit, plug, monkeypatch, register, value, number
+):
+    set_registers(kit.servos[5], {Register.BAUD_RATE: 1})
+    port, once = kit.emulator.port, iter([True])
+    receive = type(port).receive
+
+    def receive_until_taken(timeout_s):
+        if kit.servos[5].value(register) == value and kit.servos[5].value(Register.LOCK) == 0 and next(once, False):
+            signal.raise_signal(number)
+        return receive(port, timeout_s)
+
+    monkeypatch.setattr(port, "receive", receive_until_taken, raising=False)
+    code, person = run_setup("--joint", "gripper", "--yes", plug=plug)
+    assert (code, next(once, None)) == (ExitCode.FAILED, None)
+    assert "run the command again to go on" in person.said
+    assert kit.servos[5].value(Register.LOCK) == 1
 
 
 def test_an_arm_that_holds_is_lowered_and_written_with_the_profile_that_was_asked_for(run_setup, kit):

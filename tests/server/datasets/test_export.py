@@ -301,6 +301,8 @@ CUT_OFF = {"height": 24, "width": 32, "encoding": "rgb8", "step": 96, "data": "A
 REFUSED: list[tuple[list[RecordedMessage], dict[str, str], str]] = [
     ([mark("start", 0.0)], {}, "has no messages of sensor_msgs/JointState on /joint_states"),
     ([state(0.0)], {}, "no episode can be exported: .* it has 0 frames at 10 a second, and needs 2"),
+    # A machine whose clock was set; a frame for each tenth of a second would fill 32 GB.
+    ([*states(1.0), state(4e8)], {}, "no episode can be exported: .* the states have a gap of 399999999.0 s"),
     (states(1.0), {"action_topic": "/x"}, "--action-topic must be one of /joint_states, not /x"),
     (
         [*states(1.0, topic="/left/joint_states"), *states(1.0, topic="/right/joint_states")],

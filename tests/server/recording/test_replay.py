@@ -3,7 +3,7 @@ from __future__ import annotations
 import asyncio
 import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from server.gateway.settings import ServerSettings
 from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from server.interfaces import load_registry
+from server.recording import replay
 from server.recording.files import RecordedMessage
 from server.recording.replay import MAGIC, RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, messages, serve
 from tests.conformance.cases import INTERFACES
@@ -61,11 +62,9 @@ def test_a_damaged_chunk_ends_the_reading(tmp_path: Path) -> None:
     assert len(recorded_messages(tmp_path / "run.mcap")) == 2
 
 
-@pytest.mark.parametrize("compression", list(CompressionType))
-@pytest.mark.parametrize("chunks", [True, False])
-def test_files_of_other_writers_are_read(tmp_path: Path, compression: CompressionType, chunks: bool) -> None:
-    octets = [text(number).octets for number in range(3)]
-    with (tmp_path / "other.mcap").open("wb") as stream:
+def write_other(path: Path, octets: Sequence[bytes], compression: CompressionType, *, chunks: bool = True) -> Path:
+    """Write texts as another program does."""
+    with path.open("wb") as stream:
         writer = Writer(stream, compression=compression, use_chunking=chunks)
         writer.start(profile="ros2")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
@@ -73,7 +72,26 @@ def test_files_of_other_writers_are_read(tmp_path: Path, compression: Compressio
         for number, each in enumerate(octets):
             writer.add_message(channel, START_NS + number, each, START_NS)
         writer.finish()
-    assert [each.octets for each in recorded_messages(tmp_path / "other.mcap")] == octets
+    return path
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunks", [True, False])
+def test_files_of_other_writers_are_read(tmp_path: Path, compression: CompressionType, chunks: bool) -> None:
+    octets = [text(number).octets for number in range(3)]
+    file = write_other(tmp_path / "other.mcap", octets, compression, chunks=chunks)
+    assert [each.octets for each in recorded_messages(file)] == octets
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_chunk_that_unpacks_to_more_than_a_record_may_have_is_damage(
+    tmp_path: Path, compression: CompressionType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay, "MAX_RECORD_BYTES", 100_000)
+    file = write_other(tmp_path / "other.mcap", [bytes(100_001)], compression)
+    assert file.stat().st_size < 10_000
+    recording = RecordingFile(file)
+    assert (list(recording.messages()), recording.damaged) == ([], True)
 
 
 def write_json(path: Path) -> None:
@@ -168,6 +186,23 @@ async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
     assert playing.cancelled()
 
 
+async def test_large_messages_are_read_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replay, "BYTES_AT_A_TIME", 20)
+    played = Player(tmp_path, [text(number) for number in range(100)])
+    read, messages = [], RecordingFile.messages
+
+    def noted(recording: RecordingFile) -> Iterator[RecordedMessage]:
+        for message in messages(recording):
+            read.append(len(played.heard))
+            yield message
+
+    monkeypatch.setattr(RecordingFile, "messages", noted)
+    await played.player.play()
+    # How many had been published when each was read.
+    assert all(number - published <= 3 for number, published in enumerate(read))
+    assert len(played.heard) == 100
+
+
 # The server.
 
 
@@ -177,10 +212,14 @@ def options(tmp_path: Path) -> ReplayOptions:
     return ReplayOptions(path, ServerSettings(port=0), AccessSettings(), rate=100.0, delay_s=0.0, loop=False)
 
 
+def served(options: ReplayOptions) -> Coroutine[Any, Any, None]:
+    return serve(options, RecordingFile(options.path).summary())
+
+
 async def test_a_loop_repeats_until_a_signal_ends_it(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     serving = re.compile(r"ws://127\.0\.0\.1:\d+")
-    playing = asyncio.create_task(serve(replace(options, loop=True)))
+    playing = asyncio.create_task(served(replace(options, loop=True)))
     await until(lambda: serving.search(caplog.text))
     async with frame_client(serving.findall(caplog.text)[0]) as client:
         await client.subscribe("/t", "std_msgs/String")
@@ -193,11 +232,11 @@ async def test_a_loop_repeats_until_a_signal_ends_it(options: ReplayOptions, cap
 async def test_it_ends_with_the_recording(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     async with asyncio.timeout(TIMEOUT_S):
-        await serve(options)
+        await served(options)
         assert "1 topics, 3 messages, 2.0 s" in caplog.text
         assert "replay ended: 3 messages published, 0 could not be read" in caplog.text
         record_killed(options.path, [[text(0)], [text(1)]])
-        await serve(options)
+        await served(options)
     assert "not ended in good order" in caplog.text
     assert "2 messages published" in caplog.text
 
@@ -210,7 +249,7 @@ async def test_types_of_the_users_packages_are_replayed_where_the_settings_name_
     user = load_registry([INTERFACES])
     record(options.path, [entry("/sample", "lab_msgs/Sample", {}, registry=user)], user)
     async with asyncio.timeout(TIMEOUT_S):
-        await serve(replace(options, server=ServerSettings(port=0, interfaces=interfaces)))
+        await served(replace(options, server=ServerSettings(port=0, interfaces=interfaces)))
     assert f"replay ended: {published} messages published" in caplog.text
 
 

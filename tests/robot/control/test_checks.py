@@ -73,10 +73,10 @@ AT_REST = "s with 0.50 rad/s; it must be at rest there (tolerance 0.10 rad/s)"
     [
         (0.5, [0.0, 0.25, 0.5], [0.0, 8.0, 0.0], "move at 8.00 rad/s, above its limit of 2.10 rad/s, at 0.500 s"),
         (
-            0.01,
-            [0.0, 0.01] * 10 + [0.0],
-            [0.0] * 21,
-            "accelerate by 600.00 rad/s^2, above its limit of 10.20 rad/s^2, at 0.000 s",
+            0.1,
+            [0.0, 0.055, 0.11],
+            [0.0, 1.1, 0.0],
+            "accelerate by 11.00 rad/s^2, above its limit of 10.20 rad/s^2, at 0.000 s",
         ),
         (2.0, [0.0, 2.0, 1.0], [0.0] * 3, "go to 2.000 rad, beyond its limits -1.922 to 1.922 rad, at 2.000 s"),
         (1.0, [0.0, 0.5, 1.0], [0.5, 0.5, 0.0], f"begin at 0.000 {AT_REST}"),

@@ -186,9 +186,9 @@ def test_a_silence_that_spreads_to_all_joints_becomes_that_of_the_bus() -> None:
     assert codes == [None, FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT]
 
 
-def test_an_arm_that_measures_neither_heat_nor_current_nor_supply_is_well() -> None:
+def test_an_arm_that_measures_neither_heat_nor_current_nor_supply_is_well_and_so_is_one_beyond_its_angle() -> None:
     unmeasured = float("nan")
-    assert never(temperature_c=unmeasured, current_a=unmeasured, voltage_v=unmeasured)
+    assert never(temperature_c=unmeasured, current_a=unmeasured, voltage_v=unmeasured, status=int(StatusFlag.ANGLE))
     assert never(at(1, 0.2), temperature_c=unmeasured, current_a=unmeasured, voltage_v=unmeasured)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from ruckig import ControlInterface, InputParameter, RuckigError
 
 from robot.control.motion import Motion, Streaming, VelocityTracking, splice_refusal
 from robot.description.limits import JointBounds
@@ -127,9 +128,11 @@ BOUNDS = JointBounds.of(so101(), NAMES)
 LIMITS = GuardLimits()
 
 
-def at_its_end(limits: GuardLimits = LIMITS, **options: bool) -> tuple[Motion, np.ndarray]:
+def at_its_end(
+    limits: GuardLimits = LIMITS, tolerance_rad: np.ndarray | None = None, **options: bool
+) -> tuple[Motion, np.ndarray]:
     move = smooth_move({"elbow_flex": (0.0, 0.5), "gripper": (0.0, 1.0)}, 1.0)
-    motion = Motion(Execute(1, move, **options), NAMES, BOUNDS, limits)
+    motion = Motion(Execute(1, move, **options), NAMES, BOUNDS, limits, tolerance_rad)
     motion.advance(2.0)
     return motion, np.array([0.0, 0.5, 1.0])
 
@@ -170,11 +173,13 @@ def test_how_near_and_how_soon_can_be_set() -> None:
     ends = [motion.end(goal, goal - 0.19, tick / 100) for tick in range(3)]
     assert ends[-1] is not None
     assert ends[-1].outcome is Outcome.REACHED
-    motion, goal = at_its_end(limits)
-    near = goal - np.array([0.0, 0.1, 0.21])
-    assert [motion.end(goal, near, now_s) for now_s in (5.0, 7.9)] == [None, None]
-    wait = "3 s after the end of the motion (tolerance 0.2 rad)"
-    assert motion.end(goal, near, 8.0).message == f"joint gripper is still 0.210 rad from its goal {wait}"
+    # The joint that is farthest beyond its own tolerance is named.
+    for tolerances_rad, name, away_rad in ((None, "gripper", 0.21), ([0.1, 0.1, 0.2], "elbow_flex", 0.15)):
+        motion, goal = at_its_end(limits, None if tolerances_rad is None else np.array(tolerances_rad))
+        near = goal - np.array([0.0, 0.15, 0.21])
+        assert [motion.end(goal, near, now_s) for now_s in (5.0, 7.9)] == [None, None]
+        wait = f"3 s after the end of the motion (tolerance {0.2 if tolerances_rad is None else 0.1} rad)"
+        assert motion.end(goal, near, 8.0).message == f"joint {name} is still {away_rad:.3f} rad from its goal {wait}"
 
 
 PATH = smooth_move({"shoulder_pan": (0.0, 1.0), "elbow_flex": (0.0, -0.5)}, 2.0)
@@ -289,6 +294,25 @@ def test_a_joint_that_stands_outside_its_limits_stays_or_comes_inside() -> None:
 def test_a_target_too_slow_to_see_is_rest() -> None:
     for target, moves in ((9e-4, False), (-9e-4, False), (1.1e-3, True), (-1.1e-3, True)):
         assert bool(np.abs(follow([((target, 0.0), 100)])).max()) is moves, target
+
+
+def test_joints_brake_where_no_profile_is_found_to_their_limits() -> None:
+    tracking = VelocityTracking(STREAM_BOUNDS, np.zeros(2))
+    tracking.set_target(np.array([0.5, 0.0]))
+    moving_rad = [tracking.advance(PERIOD_S)[0] for _ in range(50)][-1]
+    ruckig = tracking._ruckig
+
+    class Failing:
+        def calculate(self, given: InputParameter, profile: object) -> None:
+            if ControlInterface.Position in given.per_dof_control_interface:
+                raise RuckigError("no solution")
+            ruckig.calculate(given, profile)
+
+    tracking._ruckig = Failing()  # type: ignore[assignment]
+    tracking.set_target(np.array([0.6, 0.0]))
+    positions = [tracking.advance(PERIOD_S)[0] for _ in range(50)]
+    assert tracking.at_rest
+    assert moving_rad < positions[-1] < moving_rad + 0.1
 
 
 NOWHERE = np.zeros(6)

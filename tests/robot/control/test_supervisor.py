@@ -1,3 +1,4 @@
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -486,8 +487,12 @@ def test_an_arm_that_is_lost_with_torque_on_is_reported_once_at_its_end(
 
 
 def test_a_lost_bus_ends_the_motion_refuses_orders_and_a_new_one_adopts_the_arm_as_it_is_found(
-    emulator: SteppedEmulator, moving: ArmRig
+    emulator: SteppedEmulator, caplog: pytest.LogCaptureFixture, start_rig: Start
 ) -> None:
+    caplog.set_level(logging.INFO)
+    moving = start_rig()
+    moving.execute(PAN)
+    moving.run(0.4)
     moving.supervisor.disconnect(LOST)
     assert moving.mode is Mode.DISCONNECTED
     moving.execute(PAN, motion_id=2)
@@ -495,6 +500,9 @@ def test_a_lost_bus_ends_the_motion_refuses_orders_and_a_new_one_adopts_the_arm_
     moving.connect()
     moving.until_mode(Mode.HOLDING)
     assert moving.torque() == [1] * 6
+    assert lines(caplog, "checking the servos: ") == [
+        f"checking the servos: the arm {how}" for how in ("holds", "was holding")
+    ]
     moving.supervisor.disconnect(LOST)
     emulator.command(power_cycle=[1, 2, 3, 4, 5, 6])
     moving.connect()

@@ -193,14 +193,17 @@ def test_an_assumed_calibration_has_servos_without_homing_offsets(dynamixels: St
         servos.enable()
 
 
-@pytest.mark.parametrize(("bits", "code"), [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED)])
+@pytest.mark.parametrize(
+    ("bits", "code"),
+    [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED), (0x08, FaultCode.ENCODER_ERROR)],
+)
 def test_a_servo_that_protected_itself_is_reset(dynamixels: SteppedDynamixels, bits: int, code: FaultCode) -> None:
     rig = DynamixelRig(dynamixels).started()
     rig.run(1.0)
     dynamixels.servo(3).fail(bits)
     rig.until_mode(Mode.FAULT)
     assert rig.fault_code == code.value
-    # The rest of the arm is relaxed by itself.
+    # The rest of the arm is relaxed by itself, except after an error of an encoder.
     rig.run(3.0)
     answer = rig.order(Order.RESET_FAULT)
     assert answer.done, answer.message

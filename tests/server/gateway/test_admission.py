@@ -132,7 +132,7 @@ def test_after_many_wrong_tokens_even_the_right_one_is_refused_for_a_while() -> 
     assert policy.check(right) == ALICE
 
 
-def test_paths_that_tell_of_the_robot_need_a_token() -> None:
+def test_paths_that_tell_of_the_robot_need_a_token_and_those_without_sense_let_nobody_in() -> None:
     told = ("/metrics", "/goal", "/armbridge/x", "/robot/description.urdf", "/%6detrics", "/robot", "/metrics?x=1")
     for path in told:
         status, text = refused(AdmissionPolicy(LOCKED).check(plain(path)))
@@ -140,9 +140,6 @@ def test_paths_that_tell_of_the_robot_need_a_token() -> None:
         asked = path + ("&" if "?" in path else "?") + f"token={SECRET}"
         assert AdmissionPolicy(LOCKED).check(plain(asked)) == ALICE, path
         assert AdmissionPolicy(VIEWED).check(plain(path)) == VIEWED.anonymous, path
-
-
-def test_a_path_without_sense_lets_nobody_in() -> None:
     for path in ("//[", "/%ff%00?token", "?", "", "/?%", "http://[x/?token=a"):
         for upgrade in (True, False):
             assert not isinstance(AdmissionPolicy(LOCKED).check(request_for(path, upgrade=upgrade)), Identity), path
@@ -290,12 +287,9 @@ fd000000000000000000000000000002 02 40 00 80     eth0
 """
 
 
-def test_only_addresses_that_others_can_write_down_are_returned() -> None:
+def test_addresses_that_others_can_write_down_are_returned_and_ipv6_ones_of_global_scope(monkeypatch, tmp_path) -> None:
     found = [ip_address(text) for text in host_addresses()]
     assert [address for address in found if address.is_loopback or address.is_link_local] == []
-
-
-def test_ipv6_addresses_are_those_of_global_scope_in_the_kernels_table_if_it_can_be_read(monkeypatch, tmp_path):
     (tmp_path / "if_inet6").write_text(IPV6_TABLE)
     monkeypatch.setattr(admission, "_ipv4_addresses", lambda: ["10.0.0.2"])
     for table, found in (("if_inet6", ["10.0.0.2", "fd00::2"]), ("missing", ["10.0.0.2"]), (".", ["10.0.0.2"])):

@@ -230,7 +230,8 @@ def test_parts_decide_where_the_hull_of_a_link_touches(crane, change, put, conta
     if only_hulls is not None:
         assert collision.in_collision(q)
         assert collision.hull_only_pairs(q) == ({BETWEEN} if only_hulls else set())
-        assert collision.in_collision(q, refined=collision.hull_only_pairs(q)) == contact
+        refined = frozenset(collision.pairs_of(collision.hull_only_pairs(q)))
+        assert collision.in_collision(q, refined) == contact
 
 
 def test_padding_counts_between_meshes_too(crane):

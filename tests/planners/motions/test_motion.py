@@ -157,6 +157,33 @@ def test_where_the_shortest_motion_touches_between_two_checks_its_earlier_parts_
     assert certify(task.space, shorter) is None
 
 
+def test_of_ever_shorter_motions_the_last_that_is_free_is_found_in_few_trials(monkeypatch, task_over_a_wall):
+    task, searched, tried, least_s = task_over_a_wall(attempts=1, optimization_time_s=0.1), [], [], 0.0
+
+    def watched(*arguments):
+        searched.append(smooth(*arguments))
+        return searched[-1]
+
+    def touches_if_short(space, trajectory):
+        tried.append(trajectory.duration_s)
+        return Contact(0.0, ()) if trajectory.duration_s < least_s else certify(space, trajectory)
+
+    monkeypatch.setattr(motion, "smooth", watched)
+    monkeypatch.setattr(motion, "certify", touches_if_short)
+    found(task)
+    durations_s = [TICK_S * curve.duration_ticks for curve in searched[0]]
+    assert len(durations_s) >= 6
+    for least_s in durations_s:
+        tried.clear()
+        assert found(task).trajectory.duration_s == pytest.approx(least_s)
+        assert len(tried) <= 2 + np.ceil(np.log2(len(durations_s)))
+    tried.clear()
+    least_s = durations_s[0] + 1e-4
+    found(task)
+    assert tried[:2] == [durations_s[-1], durations_s[0]], "where the first touches, another is searched for"
+    assert tried[2] == pytest.approx(TICK_S * searched[-1][-1].duration_ticks)
+
+
 def test_the_work_that_is_asked_for_is_spent_and_little_more(task_over_a_wall):
     first = work(task_over_a_wall(optimization_time_s=0.0))
     for time_s in (0.1, 0.3):

@@ -46,7 +46,10 @@ def test_touching_is_overlapping(crowded):
     broadphase, fresh, verdicts = build(), build(), set()
     for q in states:
         expected = fresh.touching(q)
-        assert (broadphase.touches(q) in expected) if expected else broadphase.touches(q) is None
+        assert broadphase.touches(q) == bool(expected)
+        assert broadphase.touches(q, frozenset(expected[1:])) == bool(expected)
+        assert not broadphase.touches(q, frozenset(expected)), "these are left out"
+        assert list(broadphase.touching_among(q, range(len(broadphase._pairs)))) == expected
         # What was found before, elsewhere and among some of the pairs, leaves nothing behind.
         assert broadphase.touching(q) == expected
         alone = broadphase.near_among(q, range(0, len(broadphase._pairs), 2), np.zeros(len(broadphase._pairs[::2])))

@@ -225,25 +225,33 @@ class _Searching:
         while searches > 0 and not self._budget.used_up() and not (best and self._space.checks >= self._last_check):
             found = self._found(searches, has_motion=best is not None)
             searches -= len(found)
-            longest_s = np.inf if best is None else best.trajectory.duration_s
-            shorter = [(how, each) for how, stages in found for each in stages if TICK_S * each.ticks[-1] < longest_s]
-            motion = self._shortest(shorter)
-            best = min(filter(None, (best, motion)), key=lambda each: each.trajectory.duration_s, default=None)
-            if shorter and motion is None:
+            known, any_shorter = best, False
+            for method, stages in sorted(found, key=lambda each: each[1][-1].duration_ticks):
+                longest_s = np.inf if best is None else best.trajectory.duration_s
+                shorter = [each for each in stages if TICK_S * each.ticks[-1] < longest_s]
+                any_shorter = any_shorter or bool(shorter)
+                best = self._shortest(method, shorter) or best
+            if any_shorter and best is known:
                 self._finer = min(self._finer + 1, len(SEARCH_STEPS_M) - 1)
             if best is None and found:
                 searches = self._task.attempts
         return best
 
-    def _shortest(self, found: Sequence[tuple[str, Curve]]) -> Motion | None:
-        """Return the motion along the shortest of some curves that can be certified."""
-        for method, curve in sorted(found, key=lambda each: each[1].duration_ticks):
+    def _shortest(self, method: str, stages: Sequence[Curve]) -> Motion | None:
+        """Return the motion along the last of ever shorter curves that can be certified."""
+        # Where the first touches something, so does all that became of it, as a rule.
+        free, touching, tried, motion = -1, len(stages), len(stages) - 1, None
+        while touching - free > 1:
             # The best motion is still of use after the deadline, but not once the request is cancelled.
-            trajectory = None if self._budget.should_stop() else _certified(self._task, curve)
-            if trajectory is not None:
-                reached = (i for i, q in enumerate(self._task.goals) if np.array_equal(q, curve.positions_rad[-1]))
-                return Motion(trajectory, method, next(reached))
-        return None
+            trajectory = None if self._budget.should_stop() else _certified(self._task, stages[tried])
+            if trajectory is None:
+                touching = tried
+            else:
+                free, end = tried, stages[tried].positions_rad[-1]
+                reached = next(i for i, q in enumerate(self._task.goals) if np.array_equal(q, end))
+                motion = Motion(trajectory, method, reached)
+            tried = 0 if free < 0 else (free + touching) // 2
+        return motion
 
     def _found(self, searches: float, *, has_motion: bool) -> list[tuple[str, list[Curve]]]:
         """Return the curves found in a round, by which search, each with its shorter and shorter stages."""

@@ -162,6 +162,9 @@ def test_contacts_by_parts_are_contacts_by_hulls_and_overlaps_those_of_the_parts
     verdicts = set()
     for q in np.random.default_rng(4).uniform(changing.lower_rad, changing.upper_rad, (150, 6)):
         verdicts.add((bool(changing.colliding_pairs(q)), changing.in_collision(q)))
+        for refined in (changing.hull_only_pairs(q), {frozenset(("base_link", "gripper_link"))}):
+            by_parts = changing.in_collision(q, frozenset(changing.pairs_of(refined)))
+            assert by_parts == bool(changing.colliding_pairs(q, refined))
     assert (True, False) not in verdicts
     assert (False, True) in verdicts
     changing.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))

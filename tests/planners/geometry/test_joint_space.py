@@ -200,7 +200,7 @@ def test_an_allowed_contact_does_not_come_again_further_on(changing, arm):
     overlaps_m = changing.overlaps_m(q)
     assert overlaps_m
     assert overlaps_m == pytest.approx(changing.overlaps_m(there), abs=1e-4)
-    assert not changing.in_collision(there, overlaps_m)
+    assert not changing.in_collision(there, frozenset(changing.pairs_of(overlaps_m)), overlaps_m)
     space = JointSpace(changing, arm.joints, q, overlaps_m)
     assert space.free(HOME)
     assert not space.free(TURNED)

@@ -90,7 +90,7 @@ def place_in_the_material(surface: surfaces.TriangleSurface, place, random: np.r
     while True:
         point_m = drawn(surface, random)
         clear_m = np.linalg.norm(surface._vertices_m - point_m, axis=1).min()
-        if clear_m > 0.002 and surface.encloses(point_m[np.newaxis]):
+        if clear_m > 0.002 and surface.encloses(point_m.reshape(1, 1, 3)):
             return place.act(point_m).tolist()
 
 
@@ -130,19 +130,21 @@ def test_a_winding_number_is_one_inside_of_a_ball_and_none_outside() -> None:
             point_m = middle_m + distance_m * direction / np.linalg.norm(direction)
             assert abs(surface.winding_number(point_m)) == pytest.approx(expected, abs=0.05)
     beside_m, inside_m = middle_m + np.array([0.06, 0.0, 0.0]), middle_m + np.array([0.01, 0.0, 0.0])
-    assert not surface.encloses(beside_m[np.newaxis])
-    assert surface.encloses(np.vstack([beside_m, inside_m]))
+    assert not surface.encloses(np.array([[beside_m]]))
+    assert surface.encloses(np.array([[beside_m], [inside_m]]))
+    assert not surface.encloses(np.array([[inside_m, beside_m]])), "a body that sticks out"
     mirrored = surfaces.TriangleSurface(surface._vertices_m, surface._triangles[:, ::-1])
-    assert mirrored.encloses(inside_m[np.newaxis])
+    assert mirrored.encloses(np.array([[inside_m]]))
 
 
-def test_each_connected_body_of_a_surface_has_one_point_and_packing_drops_what_is_twice_or_has_no_extent() -> None:
+def test_each_body_of_a_surface_has_its_outermost_points_and_packing_drops_what_is_twice_or_flat() -> None:
     vertices_m, triangles = ball(0.05, 12)
     two_m = np.vstack([vertices_m, vertices_m + np.array([0.2, 0.0, 0.0])])
     both = np.vstack([triangles, triangles + len(vertices_m)]).astype(np.int32)
     surface = surfaces.TriangleSurface(two_m, both)
-    assert len(surface.points_m) == 2
-    assert np.ptp(surface.points_m[:, 0]) > 0.1
+    assert surface.points_m.shape == (2, 6, 3)
+    assert (np.ptp(surface.points_m, axis=1) > 0.09).all(), "outermost points of one body each"
+    assert np.ptp(surface.points_m[:, 0, 0]) > 0.1
     vertices = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 1e-7, 0.0]])
     _, triangles = surfaces.packed(vertices, np.array([[0, 1, 2], [2, 0, 1], [0, 3, 2], [0, 1, 3]]))
     assert len(triangles) == 1

@@ -7,7 +7,7 @@ import pytest
 from planners.budget import Budget
 from planners.geometry.certificate import Contact, certify
 from planners.motions import motion
-from planners.motions.curve import TICK_S, least_time_s, polyline
+from planners.motions.curve import TICK_S, Curve, least_time_s, polyline
 from planners.motions.motion import Motion, MotionTask, find_motion, smooth
 from planners.motions.path import NOMINAL_CHECKS_PER_S
 from planners.motions.path_timing import MAX_DURATION_S
@@ -165,6 +165,33 @@ def test_where_the_shortest_motion_touches_between_two_checks_its_earlier_parts_
     shorter = found(replace(task, optimization_time_s=0.016)).trajectory
     assert certified[0] < shorter.duration_s < 0.95 * unshortened.duration_s
     assert certify(task.space, shorter) is None
+
+
+def test_of_ever_shorter_motions_the_last_that_is_free_is_found_in_few_trials(monkeypatch, task_over_a_wall):
+    task, searched, tried, free_from = task_over_a_wall(), [], [], 0
+
+    def ever_quicker(curve, *_):
+        stages = (Curve(curve.ticks * k, curve.positions_rad, curve.velocities_rad_s / k) for k in range(12, 0, -1))
+        searched.append(list(stages))
+        return searched[-1]
+
+    def touches_later(space, trajectory):
+        stage = [TICK_S * each.duration_ticks for each in searched[-1]].index(pytest.approx(trajectory.duration_s))
+        tried.append(stage)
+        return certify(space, trajectory) if stage <= free_from or len(searched) > 1 else Contact(0.0, ())
+
+    monkeypatch.setattr(motion, "smooth", ever_quicker)
+    monkeypatch.setattr(motion, "certify", touches_later)
+    for free_from in range(12):
+        searched.clear()
+        tried.clear()
+        assert found(task).trajectory.duration_s == pytest.approx(TICK_S * searched[0][free_from].duration_ticks)
+        assert len(tried) <= 6
+    searched.clear()
+    tried.clear()
+    free_from = -1
+    found(task)
+    assert tried == [11, 0, 11], "where the first touches, another is searched for"
 
 
 def test_the_work_asked_for_is_spent_and_by_the_best_motion_all_the_time(task_over_a_wall, collision, at_home):

@@ -347,7 +347,31 @@ def test_any_quoted_texts_and_lists_of_floats_come_back_as_they_were(
     assert [field.default for field in declared(text).fields] == [texts[0], tuple(texts), tuple(numbers)]
 
 
-@given(st.text(max_size=60), st.sampled_from(["msg", "srv", "action"]), st.sampled_from(["ros1", "ros2"]))
+PIECES = [
+    "int32",
+    "string<=5",
+    "my_msgs/Thing",
+    "float64",
+    "[",
+    "<=4",
+    "-1]",
+    "]",
+    " ",
+    "data",
+    "=",
+    "a",
+    '"',
+    "'",
+    "\\",
+]
+PIECES += [", ", "1e39", "0x", "---", "\n", "#", "\r", "\t", "\0", "é"]
+
+
+@given(
+    st.text(max_size=60) | st.lists(st.sampled_from(PIECES), max_size=30).map("".join),
+    st.sampled_from(["msg", "srv", "action"]),
+    st.sampled_from(["ros1", "ros2"]),
+)
 def test_any_text_is_read_or_refused_in_sentences(text: str, kind: Kind, generation: Generation) -> None:
     for each in map(str, read(text, kind, generation).problems):
         assert "\n" not in each

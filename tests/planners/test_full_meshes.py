@@ -27,10 +27,10 @@ LISTS = ("joint_problems", "position_problems", "infeasible")
 
 @cache
 def judged(name: str):
-    own = SCENES_OF_BENCHMARK / f"{name}.json"
-    path = own if own.exists() else resources.shared_data() / "planning_problems" / own.name
+    folder = SCENES_OF_BENCHMARK if name == "near_contacts" else resources.shared_data() / "planning_problems"
+    path = folder / f"{name}.json"
     fields = json.loads(path.read_text())
-    return path, fields, Judge(resources.REFERENCE, fields)
+    return path, fields, Judge(resources.shared_data(), fields)
 
 
 def planned(path: Path, ids: tuple[str, ...] = ()):

@@ -102,13 +102,19 @@ def place_m(q, link):
     return PALLETIZER_FORWARD.placement(link).translation.copy()
 
 
-def test_the_jacobian_counts_what_follows():
+def test_the_jacobian_counts_what_follows_and_no_point_travels_further_than_is_said(collision):
     step_rad = 1e-6
     for q in STATES[:5]:
         for link in ("wrist", "right"):
             moved_m = [place_m(q + step, link) - place_m(q - step, link) for step in step_rad * np.eye(len(NAMES))]
             slopes = np.array(moved_m).T / (2.0 * step_rad)
             np.testing.assert_allclose(PALLETIZER_FORWARD.jacobian(q, link)[:3], slopes, atol=1e-8)
+    for q in STATES:
+        for column, step in enumerate(step_rad * np.eye(len(NAMES))):
+            for link in ("wrist", "left", "right"):
+                start_m, end_m = PALLETIZER_FORWARD.placements([q, q + step], link).positions_m
+                most_m = collision.travel_m_per_rad[column] * step_rad * (1.0 + 1e-6)
+                assert np.linalg.norm(end_m - start_m) <= most_m
 
 
 def test_fingers_that_close_on_each_other_touch_and_are_said_to_come_nearer(collision):
@@ -161,9 +167,8 @@ def test_the_other_arm_moves_and_its_motion_is_free_on_the_way(pair_planner: Pla
     assert isinstance(plan, problem.Plan), plan
     assert np.allclose(plan.trajectory.positions_rad[-1], list(GOAL_RAD.values()))
     others = {name: value for name, value in PAIR_START_RAD.items() if name not in LEFT}
-    assert pair_planner.answer(
-        problem.RecheckQuestion("left_arm", plan.trajectory, others, 0.1)
-    ) == problem.RecheckAnswer(None)
+    question = problem.RecheckQuestion("left_arm", plan.trajectory, others, 0.1)
+    assert pair_planner.answer(question) == problem.RecheckAnswer(None)
 
 
 def test_questions_about_the_other_arm_are_answered(pair_planner: Planner) -> None:

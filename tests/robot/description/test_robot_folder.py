@@ -1,6 +1,7 @@
 import tempfile
 from importlib import metadata
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -170,7 +171,7 @@ def test_a_hostile_file_is_refused_in_one_sentence(tmp_path: Path, name: str, co
     assert len(problem) < 1000
 
 
-def test_a_built_in_arm_is_found_by_its_name_and_a_folder_by_its_path(tmp_path: Path) -> None:
+def test_a_built_in_arm_is_found_by_its_name_and_a_folder_by_its_path_or_with_another_urdf(tmp_path: Path) -> None:
     assert robot_folder.resolve("so101").model.links == so101().links
     assert robot_folder.resolve(str(arm_folder(tmp_path))).model.name == "seven"
     for name, words in (
@@ -179,9 +180,7 @@ def test_a_built_in_arm_is_found_by_its_name_and_a_folder_by_its_path(tmp_path: 
     ):
         with pytest.raises(DescriptionError, match=words):
             robot_folder.resolve(name)
-
-
-def test_another_urdf_takes_the_folder_s_place_without_its_hulls(tmp_path: Path) -> None:
+    # Another URDF has no hulls.
     found = robot_folder.built_in("so101")
     urdf, srdf = tmp_path / "a.urdf", tmp_path / "a.srdf"
     urdf.write_text(found.model.urdf.replace('velocity="1.2"', 'velocity="10"'))
@@ -293,9 +292,5 @@ def test_a_published_robot_is_loaded_by_its_name_with_ideal_joints_if_it_has_an_
 
 def test_no_robot_is_found_that_the_package_does_not_have_nor_any_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     assert find_example("no such robot") is None
-
-    def missing(name: str) -> metadata.Distribution:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "distribution", missing)
+    monkeypatch.setattr(metadata, "distribution", Mock(side_effect=metadata.PackageNotFoundError("it")))
     assert find_example("panda") is None

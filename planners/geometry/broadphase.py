@@ -129,7 +129,7 @@ class Broadphase:
         return self._collide(q, self._any, self._any_contact)
 
     def touching_among(self, q: Vector, pairs: Iterable[int]) -> Iterator[int]:
-        """Yield those of some pairs that touch; place the shapes as :meth:`place` does."""
+        """Yield the pairs that touch, out of some; place the shapes as :meth:`place` does."""
         self.place(q)
         return (pair for pair in pairs if self._touches_alone(pair, 0.0))
 

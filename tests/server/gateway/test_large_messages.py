@@ -126,7 +126,8 @@ async def test_a_slow_reader_of_one_large_message_keeps_the_messages_behind_it(m
         for _ in range(8):
             ahead_s[0] += 15.0
             reader.transport.resume_reading()
-            await asyncio.sleep(0.001)
+            for _ in range(3):
+                await asyncio.sleep(0)  # turns of the loop, in which it reads
             reader.transport.pause_reading()
             looks.clear()
             await until(lambda: looks)

@@ -28,7 +28,7 @@ NUMBERS: Mapping[str, Mapping[str, int]] = {
 }
 
 MAX_LINKS = 500  # more than any arm has; bounds the work that a file can cause
-MAX_NUMBER = 1e100  # products of larger ones are infinite
+MAX_NUMBER = 1e100  # beyond, results overflow
 MAX_SHOWN = 80  # characters of a wrong value in an error
 
 

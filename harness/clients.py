@@ -19,6 +19,9 @@ GOAL_TYPES = {
     "/moveit_goal_pose": "geometry_msgs/PoseStamped",
 }
 
+# Topic and type of the pace of all motions, also of the present one.
+SPEED_FACTOR = ("/arm/speed_factor", "std_msgs/Float64")
+
 LATCHED = {
     "/arm/state": "diagnostic_msgs/DiagnosticStatus",
     "/arm/joint_limits": "moveit_msgs/KinematicSolverInfo",

@@ -74,8 +74,8 @@ AXE = ROOT / "server" / "page" / "node_modules" / "axe-core" / "axe.min.js"
 # WCAG's levels A and AA of each version, and axe-core's own good practice.
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
 
-FIND_VIOLATIONS = """async rules => {
-    const { violations } = await window.axe.run(document, {
+FIND_VIOLATIONS = """async ([within, rules]) => {
+    const { violations } = await window.axe.run(within, {
         runOnly: { type: "tag", values: rules }, resultTypes: ["violations"],
     });
     return violations.flatMap(({ id, nodes }) => nodes.map(({ target, failureSummary }) => {
@@ -197,6 +197,10 @@ class OpenPage:
             assert time.monotonic() < until_s, self.describe()
             self.page.wait_for_timeout(ASK_MS)
 
+    def pause(self, duration_ms: float) -> None:
+        """Let time pass in the page, with all that its timers have to do by then."""
+        self.page.evaluate("ms => new Promise(done => setTimeout(done, ms))", duration_ms)
+
     def describe(self) -> str:
         """Return the visible text, for the message of a failed test."""
         said = {
@@ -262,6 +266,16 @@ class OpenPage:
         assert box is not None, f"{test_id} is not shown"
         return dict(box)
 
+    def stop(self) -> None:
+        """Press STOP, and wait for its acknowledgement."""
+        self.part("stop").click()
+        self.until_acknowledged()
+
+    def until_acknowledged(self) -> None:
+        """Wait for the answer to a press of STOP. Its text goes after four seconds, and a test may look later."""
+        self.until_state("s.stop.phase !== 'asked'")
+        assert self.state("stop.phase") != "failed", self.describe()
+
     def enter(self, test_id: str, text: str) -> None:
         """Type into a field, and press Enter."""
         self.part(test_id).fill(text)
@@ -297,11 +311,11 @@ class OpenPage:
         image = Image.open(io.BytesIO(self.page.locator("canvas").first.screenshot())).convert("RGB").resize((64, 64))
         return len(image.getcolors(64 * 64) or [])
 
-    def violations(self) -> list[str]:
-        """Return what axe-core finds wrong in what is shown."""
+    def violations(self, within: str = "html") -> list[str]:
+        """Return what axe-core finds wrong in what is shown within elements of a selector."""
         if not self.page.evaluate("'axe' in window"):
             self.page.evaluate(AXE.read_text())
-        found: list[str] = self.page.evaluate(FIND_VIOLATIONS, RULES)
+        found: list[str] = self.page.evaluate(FIND_VIOLATIONS, [within, RULES])
         return found
 
     def change_operations(self, change: Callable[[dict[str, Any]], dict[str, Any] | None]) -> None:

@@ -194,7 +194,9 @@ class Reassembly:
 
         Raises OperationError for a contradiction or at a limit, and drops the fragments of this message.
         """
-        self._expire(now)
+        late = now - self._limits.fragment_timeout_s
+        for fragment_id in [key for key, message in self._messages.items() if message.started_s < late]:
+            self._remove(fragment_id)
         message = self._messages.get(fragment.id)
         try:
             self._check(fragment, message)
@@ -240,11 +242,6 @@ class Reassembly:
         if message is not None:
             self._size_bytes -= message.size_bytes
             self._fragments -= len(message.pieces)
-
-    def _expire(self, now: float) -> None:
-        late = now - self._limits.fragment_timeout_s
-        for fragment_id in [key for key, message in self._messages.items() if message.started_s < late]:
-            self._remove(fragment_id)
 
 
 def _refusal(name: str | None, problem: str) -> OperationError:

@@ -12,7 +12,7 @@ import uuid
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-from protocol.codecs import bson, cbor, cdr, json, png, ros1_serialization
+from protocol.codecs import bson, cbor, cdr, json, png
 from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.dialect import Dialect, to_ros1
 from protocol.framing import split
@@ -42,13 +42,9 @@ class Frame(NamedTuple):
     data: bytes
     text: bool
 
-    def on_wire(self) -> bytes:
-        """Return the WebSocket frame around the data (RFC 6455, 5.2), as a server sends it: whole, and not masked."""
-        return _header(_TEXT if self.text else _BINARY, len(self.data)) + self.data
-
 
 def _header(opening: int, length: int) -> bytes:
-    """Return what goes before the data of a WebSocket frame (RFC 6455, 5.2)."""
+    """Return what goes before the data of a WebSocket frame (RFC 6455, 5.2), as a server sends it, not masked."""
     if length < _TWO_BYTE_LENGTH:
         return bytes((opening, length))
     if length < 1 << 16:
@@ -70,7 +66,7 @@ class EncodedMessage:
     __slots__ = ("_encode", "frame_count", "ready", "size_bytes", "wire")
 
     def __init__(self, *frames: Frame) -> None:
-        self.wire = tuple([frame.on_wire() for frame in frames])
+        self.wire = tuple([_header(_TEXT if text else _BINARY, len(data)) + data for data, text in frames])
         self.frame_count = len(frames)
         self.ready = True
         self.size_bytes = sum([len(frame.data) + FRAME_OVERHEAD_BYTES for frame in frames])
@@ -267,7 +263,7 @@ class PublishedMessage:
         known = self._registry.knows(self.type_name)
         if encoding == "cbor-raw" and known:
             if dialect == "ros1":
-                octets = ros1_serialization.serialize(self._registry, self.type_name, self.msg, self.sequence_number)
+                octets = cdr.serialize_for_ros1(self._registry, self.type_name, self.msg, self.sequence_number)
             else:
                 octets = cdr.serialize(self._registry, self.type_name, self.msg)
             return cbor.encode({"secs": self.received.sec, "nsecs": self.received.nanosec, "bytes": octets})

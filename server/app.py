@@ -30,6 +30,7 @@ from server.features.arms import (
     ArmControl,
     CommissioningOfArms,
     PolicyChunks,
+    SimulatedTime,
     resumed,
     teaching_of,
     teleoperation_of,
@@ -41,7 +42,6 @@ from server.features.monitoring import Logs, Monitoring, Recording
 from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, PlanningScene, Servo
 from server.features.parking import Parkings
 from server.features.physics import physics_of
-from server.features.simulated_time import SimulatedTime
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.graph.topics import Graph
 from server.installation import PAGE_DIRECTORY

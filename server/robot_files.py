@@ -69,14 +69,14 @@ def package_name(robot: RobotModel) -> str:
     return f"{re.sub(r'[^a-z0-9_]+', '_', robot.name.lower())}_description"
 
 
-def with_package_urls(urdf: str, package: str) -> str:
+def with_package_urls(robot: RobotModel) -> str:
     """Return the URDF with a package URL in place of every mesh path, such as ``assets/base.stl``."""
-    root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
+    root = ET.fromstring(robot.urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
     meshes = [mesh for mesh in root.iter("mesh") if not _SCHEME.match(mesh.get("filename", ""))]
     if not meshes:
-        return urdf
+        return robot.urdf
     for mesh in meshes:
-        mesh.set("filename", f"{_PACKAGE}{package}/{mesh.get('filename', '').removeprefix('./')}")
+        mesh.set("filename", f"{_PACKAGE}{package_name(robot)}/{mesh.get('filename', '').removeprefix('./')}")
     return ET.tostring(root, encoding="unicode")
 
 

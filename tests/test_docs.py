@@ -106,34 +106,32 @@ def test_the_commands_of_armbridge_and_their_options_exist(capsys: pytest.Captur
         assert [word for word in rest if word.startswith("--") and word not in known[name]] == [], (
             f"`{command}` names options that do not exist: correct it in README.md or docs/"
         )
+        if name == "config":
+            assert cli.main([name, *rest]) == 0, f"`{command}` fails: correct it in README.md or docs/"
 
 
-def test_commands_about_the_configuration_succeed() -> None:
-    for command in (line for line in COMMANDS if line.startswith("armbridge config")):
-        assert cli.main(shlex.split(command)[1:]) == 0, f"`{command}` fails: correct it in README.md or docs/"
-
-
-def test_the_targets_of_make_exist() -> None:
+def test_the_targets_of_make_exist_and_the_workflow_and_the_hooks_run_what_the_makefile_has() -> None:
     words = {word for line in COMMANDS if line.startswith("make ") for word in shlex.split(line)[1:]}
     done = run("make", "-n", *sorted(words))
     assert done.returncode == 0, f"a `make ...` of README.md or docs/ is no target of the Makefile: {done.stderr}"
-
-
-def test_the_workflow_and_the_hooks_run_what_the_makefile_has() -> None:
     workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "tests.yml").read_text())
     steps = [step["run"] for job in workflow["jobs"].values() for step in job["steps"] if "run" in step]
-    assert ".ci/run" in steps
-    assert "make test" in steps
+    assert {".ci/run", "make test"} <= set(steps)
     repos = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
     hooks = {Path(hook["entry"].split()[0]).name for repo in repos for hook in repo["hooks"]}
     lint = (ROOT / "Makefile").read_text().split("\nlint:")[1].split("\n\n")[0]
     assert hooks == set(re.findall(r"\$\(BIN\)/(\w+)", lint))
 
 
-def test_every_other_command_is_known_to_be_of_others() -> None:
+def test_every_other_command_is_known_to_be_of_others_and_no_server_on_the_network_would_refuse_to_start() -> None:
     ours = ("armbridge ", "make ")
     unknown = [line for line in COMMANDS if not line.startswith((*ours, *FOREIGN)) and line not in OF_EXAMPLES]
     assert unknown == [], "correct them in README.md or docs/, or add their beginning to FOREIGN in tests/test_docs.py"
+    opened = [line for line in COMMANDS if line.startswith("armbridge serve ") and "--host 0.0.0.0" in line]
+    assert opened
+    assert [line for line in opened if "--insecure" not in line and "--config" not in line] == [], (
+        "without a token the server does not start: add --config armbridge.toml"
+    )
 
 
 @pytest.mark.parametrize("command", ["scheduler", "worker"])
@@ -146,11 +144,19 @@ def test_the_options_of_commands_of_dask_exist(command: str) -> None:
     assert told <= {option for parameter in entry.load().params for option in parameter.opts + parameter.secondary_opts}
 
 
-def test_the_settings_of_pages_are_taken(tmp_path: Path) -> None:
+def test_the_settings_of_pages_are_taken_and_none_takes_the_default_speed_for_a_limit(tmp_path: Path) -> None:
+    """A goal may name a higher speed than moveit.max_velocity_scaling, never one above arm.speed_limit."""
     file = tmp_path / "armbridge.toml"
     for settings in SETTINGS:
         file.write_text(settings)
         load(file, {})
+    lowered = [
+        page.name
+        for page in PAGES
+        for block in (*blocks(page, "toml"), *blocks(page, "sh"))
+        if "max_velocity_scaling" in block and "speed_limit" not in block
+    ]
+    assert lowered == [], "set arm.speed_limit beside it"
 
 
 def anchors(page: Path) -> set[str]:
@@ -237,14 +243,6 @@ def test_the_numbers_of_coordinates_agree_with_mirrored_axes(heading: str, engin
         assert axes @ rotation(quaternion) @ axes.T == pytest.approx(rotation(ros_quaternion), abs=1e-3)
 
 
-def test_no_command_opens_a_server_to_the_network_that_would_refuse_to_start() -> None:
-    opened = [line for line in COMMANDS if line.startswith("armbridge serve ") and "--host 0.0.0.0" in line]
-    assert opened
-    assert [line for line in opened if "--insecure" not in line and "--config" not in line] == [], (
-        "without a token the server does not start: add --config armbridge.toml"
-    )
-
-
 @pytest.mark.parametrize("heading", ["Unreal", "Unity"])
 def test_the_rate_of_joint_angles_is_that_of_the_throttle(heading: str) -> None:
     """Of messages at a fixed rate, a throttle lets every second, third, ... one through."""
@@ -256,35 +254,18 @@ def test_the_rate_of_joint_angles_is_that_of_the_throttle(heading: str) -> None:
     assert re.findall(r"measured .* (\d+) times a second", text) == [f"{rate_hz / each:g}"]
 
 
-def test_no_page_takes_the_default_speed_for_a_limit() -> None:
-    """A goal may name a higher speed than moveit.max_velocity_scaling, never one above arm.speed_limit."""
-    lowered = [
-        page.name
-        for page in PAGES
-        for block in (*blocks(page, "toml"), *blocks(page, "sh"))
-        if "max_velocity_scaling" in block and "speed_limit" not in block
-    ]
-    assert lowered == [], "set arm.speed_limit beside it"
-
-
-def test_the_number_of_message_types_is_that_of_the_registry() -> None:
-    names = list(Registry.load().type_names())
-    page = (ROOT / "docs" / "protocol.md").read_text()
-    assert set(re.findall(r"knows (\d+) types of ROS 2", page)) == {str(len(names))}
-
-
-def test_the_speed_and_the_remedies_of_the_readme_and_the_pages_are_those_of_the_code() -> None:
+def test_the_speed_the_types_and_the_remedies_of_the_readme_and_the_pages_are_those_of_the_code() -> None:
     readme = (ROOT / "README.md").read_text()
     assert f"{load(None, {}).moveit.max_velocity_scaling:.0%}".replace("%", " %") in readme
     assert load(None, {}).arm.speed_limit == 1.0, "README: without arm.speed_limit, a client may use full speed"
+    names, page = list(Registry.load().type_names()), (ROOT / "docs" / "protocol.md").read_text()
+    assert set(re.findall(r"knows (\d+) types of ROS 2", page)) == {str(len(names))}
     arm = (ROOT / "docs" / "arm.md").read_text()
     assert f"less {END_STOP_MARGIN_RAD} rad at each end" in arm
     # What the supply must give: the pages, the advice of a fault, and that of the doctor.
     for text in (
-        (ROOT / "docs" / "hardware.md").read_text(),
-        (ROOT / "docs" / "troubleshooting.md").read_text(),
-        REMEDIES[FaultCode.VOLTAGE_LOW],
-        (ROOT / "robot" / "commissioning" / "doctor.py").read_text(),
+        *((ROOT / "docs" / page).read_text() for page in ("hardware.md", "troubleshooting.md")),
+        *(REMEDIES[FaultCode.VOLTAGE_LOW], (ROOT / "robot" / "commissioning" / "doctor.py").read_text()),
     ):
         assert "4 A or more" in text
 
@@ -342,25 +323,19 @@ STUMBLES = re.compile(
 QUESTIONS = re.compile(r'^ *r?"""\s*(What |Whether |Who|Where |Which |Why |How ).*', re.MULTILINE)
 
 
-def test_no_sentence_uses_a_construction_that_readers_stumble_over() -> None:
+def test_no_sentence_uses_a_construction_that_readers_stumble_over_and_docstrings_open_with_a_verb_or_a_noun() -> None:
     """Docs, docstrings, comments, log lines, errors, `--help` and the page; also across the end of a line."""
     named = (*TOP, "CHANGELOG.md", "server/page/src/texts/en.json")
     written = [ROOT / name for name in named] + PAGES + sorted((ROOT / "clients").rglob("README.md"))
-    found = []
+    found, questions = [], []
     for path in (*written, *(path for folder in (*ROOMS, "clients", "examples") for path in paths(folder))):
-        text = re.sub(r"\s*\n\s*(#\s+)?", " ", path.read_text())
-        found += [f"{path.relative_to(ROOT)}: {text[hit.start() - 40 : hit.end()]}" for hit in STUMBLES.finditer(text)]
-        assert "<<<<<<< " not in text, f"{path.relative_to(ROOT)}: a merge was not resolved"
+        name, whole = path.relative_to(ROOT), path.read_text()
+        text = re.sub(r"\s*\n\s*(#\s+)?", " ", whole)
+        found += [f"{name}: {text[hit.start() - 40 : hit.end()]}" for hit in STUMBLES.finditer(text)]
+        questions += [f"{name}: {hit[0].strip()}" for hit in QUESTIONS.finditer(whole) if name.parts[0] in ROOMS]
+        assert "<<<<<<< " not in text, f"{name}: a merge was not resolved"
     assert found == [], "say the noun again, the verb, or the number itself"
-
-
-def test_docstrings_open_with_a_verb_or_a_noun() -> None:
-    found = [
-        f"{path.relative_to(ROOT)}: {hit[0].strip()}"
-        for path in (path for room in ROOMS for path in paths(room))
-        for hit in QUESTIONS.finditer(path.read_text())
-    ]
-    assert found == []
+    assert questions == []
 
 
 def errors_table(heading: str) -> list[list[str]]:

@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import json
-import signal
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -45,6 +44,7 @@ from server.commands.options import (
     open_bus,
     read_hardware,
     read_token,
+    signals_wait,
 )
 from server.commands.terminal import ExitCode, Terminal, table
 from server.errors import ConfigurationError
@@ -211,15 +211,12 @@ def relax_arm(
         terminal.say("no servo answers: see armbridge scan")
         return ExitCode.FAILED
     terminal.say("relaxing: support the arm ...")
-    if family is not None and family.watchdog is not None:
-        # Without its program a servo has stopped, and takes no limit until its watchdog is disarmed.
-        write_limits(bus, {servo_id: Limit(family.watchdog.register, 0) for servo_id in holding})
-    # Signals wait: broken off halfway, servos would hold with the torque that is left.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
-    try:
+    # Broken off halfway, servos would hold with the torque that is left.
+    with signals_wait():
+        if family is not None and family.watchdog is not None:
+            # Without its program a servo has stopped, and takes no limit until its watchdog is disarmed.
+            write_limits(bus, {servo_id: Limit(family.watchdog.register, 0) for servo_id in holding})
         driven = run_to_end(relax(bus, [servo.servo_id for servo in servos], holding, full))
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     if driven:
         listed = ", ".join(f"{servo.joint} (id {servo.servo_id})" for servo in servos if servo.servo_id in driven)
         terminal.say(f"{listed} may still be driven: torque off could not be verified. Cut the servos' supply.")

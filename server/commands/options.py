@@ -175,6 +175,16 @@ def signals_as_ctrl_c() -> Iterator[None]:
             signal.signal(number, signal.SIG_DFL)
 
 
+@contextlib.contextmanager
+def signals_wait() -> Iterator[None]:
+    """Have Ctrl-C, SIGTERM and SIGHUP wait for what must not be broken off halfway; it ends by itself soon."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
     """Run a command; its refusal or failure becomes one line and an exit code."""
     terminal = Terminal()

@@ -125,7 +125,7 @@ def add_classroom_parser(subparsers: Subparsers) -> None:
 def _classroom(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
     settings, _ = read_settings(options)
     configure_logs(settings)
-    from server.classroom.classroom import run_classroom
+    from server.classroom import run_classroom
 
     run_classroom(settings, options.students, options.planners, options.data, options.physics)
     return ExitCode.DONE

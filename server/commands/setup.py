@@ -43,6 +43,7 @@ from server.commands.options import (
     add_serial,
     read_hardware,
     signals_as_ctrl_c,
+    signals_wait,
 )
 from server.commands.terminal import ExitCode, Terminal, table
 from server.errors import ConfigurationError
@@ -243,7 +244,9 @@ class _Visit:
             relax_arm(self.line.at(pending[0].servo.baudrate), holding, self.terminal)
         for number, each in enumerate(pending, start=1):
             self.backup.save(each.saved, datetime.now(UTC))
-            after = write(self.line, each.servo, each.changes)
+            # Broken off while it takes a new id or baud rate, a servo would be left unlocked.
+            with signals_wait():
+                after = write(self.line, each.servo, each.changes)
             which = f"{number} of {len(pending)}: " if len(pending) > 1 else ""
             names = ", ".join(change.register.name for change in each.changes)
             written = f"written and read back {names}; " if names else ""

@@ -78,13 +78,15 @@ def frames_of(episode: Episode, tracks: Tracks, fps: int, max_gap_s: float = MAX
     usable = count - (tracks.actions is None)
     if usable < MIN_FRAMES:
         raise LeftOutError(f"it has {max(0, usable)} frames at {fps} a second, and needs {MIN_FRAMES}")
-    at_s = start_s + np.arange(count) / fps
+    first_and_last_s = start_s + np.array([0, count - 1]) / fps
     for name, times in names.items():
-        gap_s, begun_s = _greatest_gap(times, at_s, interpolated=times is tracks.state_times_s)
+        gap_s, begun_s = _greatest_gap(times, first_and_last_s, interpolated=times is tracks.state_times_s)
         if gap_s > max_gap_s:
             raise LeftOutError(f"{name} have a gap of {gap_s:.1f} s, {begun_s - episode.start_s:.1f} s after it begins")
     if episode.end_s - end_s > max_gap_s:
         raise LeftOutError(f"the states end {episode.end_s - end_s:.1f} s before it does")
+    # Not before: across a gap of years, as of a clock that was set, there are billions.
+    at_s = start_s + np.arange(count) / fps
     states = np.column_stack([np.interp(at_s, tracks.state_times_s, column) for column in tracks.states.T])
     if tracks.actions is None or tracks.action_times_s is None:
         states, actions = states[:-1], states[1:]
@@ -129,11 +131,11 @@ def _begun(name: str, times: Times, episode: Episode, max_gap_s: float) -> float
     return max(episode.start_s, following_s)
 
 
-def _greatest_gap(times: Times, at_s: Times, *, interpolated: bool) -> tuple[float, float]:
+def _greatest_gap(times: Times, first_and_last_s: Times, *, interpolated: bool) -> tuple[float, float]:
     """Return length and start of the longest gap between the samples that frames are made of [s]."""
-    first, last = _last_before(times, at_s[[0, -1]])
-    after = min(int(np.searchsorted(times, at_s[-1] - TIME_TOLERANCE_S)), times.size - 1)
-    span = np.append(times[first : last + 1], times[after] if interpolated else at_s[-1])
+    first, last = _last_before(times, first_and_last_s)
+    after = min(int(np.searchsorted(times, first_and_last_s[1] - TIME_TOLERANCE_S)), times.size - 1)
+    span = np.append(times[first : last + 1], times[after] if interpolated else first_and_last_s[1])
     gaps = np.diff(span)
     worst = int(np.argmax(gaps))
     return float(gaps[worst]), float(span[worst])

@@ -1,11 +1,12 @@
 """Confirmation of plans by users: the arm moves when somebody has seen the plan."""
 
 import asyncio
+import functools
 import logging
 from typing import Any
 
 from planners.problem import MoveItErrorCode
-from protocol.errors import MessageError, shorten
+from protocol.errors import shorten
 from protocol.publication import PublishedMessage
 from server.diagnostic_values import LEVEL_OK, key_values
 from server.execution.goal import Answer, Goal, GoalState, Progress
@@ -38,9 +39,17 @@ class Confirmation:
         self._turn = asyncio.Lock()
         self._timeout_s = timeout_s
         self.enabled = enabled  # True while all goals wait for a confirmation
+
+        def confirm(published: PublishedMessage) -> None:
+            self._decide(CONFIRM_TOPIC, go=published.msg["data"])
+
+        def approve(published: PublishedMessage) -> None:
+            self._decide(APPROVE_TOPIC, go=True, goal_id=published.msg["data"])
+
         # Another client may confirm than the driving one.
-        self._node.subscribe(CONFIRM_TOPIC, "std_msgs/Bool", self._confirm, self._log_invalid, rule=WORKING)
-        self._node.subscribe(APPROVE_TOPIC, "std_msgs/String", self._approve, rule=WORKING)
+        reject = functools.partial(log.warning, "%s: %s", CONFIRM_TOPIC)
+        self._node.subscribe(CONFIRM_TOPIC, "std_msgs/Bool", confirm, reject, rule=WORKING)
+        self._node.subscribe(APPROVE_TOPIC, "std_msgs/String", approve, rule=WORKING)
         self._node.advertise(APPROVAL_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         self._publish_request(None, "", 0.0)
         self._node.offer(CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode, rule=CONFIGURING)
@@ -73,15 +82,6 @@ class Confirmation:
                 self._waiting = self._decision = None
                 self._publish_request(None, "", 0.0)
             return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
-
-    def _confirm(self, published: PublishedMessage) -> None:
-        self._decide(CONFIRM_TOPIC, go=published.msg["data"])
-
-    def _approve(self, published: PublishedMessage) -> None:
-        self._decide(APPROVE_TOPIC, go=True, goal_id=published.msg["data"])
-
-    def _log_invalid(self, error: MessageError) -> None:
-        log.warning("%s: %s", CONFIRM_TOPIC, error)
 
     def _decide(self, topic: str, *, go: bool, goal_id: str | None = None) -> None:
         waiting = self._waiting

@@ -6,6 +6,7 @@ by the arm's clock, or when the scene gets in its way.
 """
 
 import asyncio
+import contextlib
 import functools
 import logging
 import statistics
@@ -14,7 +15,7 @@ from array import array
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias, TypeVar
+from typing import TypeAlias
 
 import numpy as np
 
@@ -63,7 +64,6 @@ log = logging.getLogger("armbridge.execution")
 
 # Asked together about one motion: it is free if all answers are.
 Questions: TypeAlias = Sequence[RecheckQuestion | ConcurrencyQuestion]
-Result = TypeVar("Result")
 
 # Codes after which another plan may do better, as in MoveIt's plan_execution.
 REPLANNED = (
@@ -244,8 +244,14 @@ class GoalExecutor:
             return None
         goal.report(Progress(GoalState.PLANNING, "; ".join(("planning in motion", *request.warnings))))
         moving = replace(problem, start_velocity_rad_s=point.velocities_rad_s)
-        ask = functools.partial(self._context.pool.ask, moving, scene)
-        plan = await goal.unless_cancelled(_in_time(ask, HORIZON_S - SENDING_S))
+
+        async def plan_in_time() -> object:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(HORIZON_S - SENDING_S):
+                    return await self._context.pool.ask(moving, scene)
+            return None
+
+        plan = await goal.unless_cancelled(plan_in_time())
         if goal.reason or not isinstance(plan, Plan) or plan.trajectory.duration_s > goal.deadline.limits.trajectory_s:
             return None
         whole = replace(plan, trajectory=point.lead.then(plan.trajectory))
@@ -306,7 +312,7 @@ class GoalExecutor:
             self._checks_s.append(self._clock() - asked_s)
             # The arm compares the point with its last tick, so that a late one may still be ahead; it refuses others.
             # Where another goal waits, that goal would continue a motion that the arm has refused.
-            latest_s = arrives_s - sending_s if goal.replacement_waits else passes_s
+            latest_s = arrives_s - sending_s if goal.successor else passes_s
             if self._clock() <= latest_s and not goal.reason:
                 answer = await self._play_spliced(goal, planned, version, point)
                 if answer is not None:
@@ -650,14 +656,6 @@ async def _answered(attempt: Awaitable[Answer]) -> Answer:
         return await attempt
     except RefusedError as error:
         return Answer.of(error.failure)
-
-
-async def _in_time(work: Callable[[], Awaitable[Result]], limit_s: float) -> Result | None:
-    """Return the result of some work, None when it takes longer than the limit [s]; it begins when this is awaited."""
-    try:
-        return await asyncio.wait_for(work(), limit_s)
-    except TimeoutError:
-        return None
 
 
 def _greatest_lag(state: ArmState, joints: tuple[str, ...], robot: RobotModel) -> str:

@@ -317,7 +317,8 @@ class Goal(CancelScope):
     # Gets all progress. A listener with a reference to its goal would keep it until the garbage collector comes.
     listener: Callable[[Goal, Progress], None] = lambda _goal, _progress: None
     _deferring: bool = field(init=False, default=False)
-    _successor: str = field(init=False, default="")
+    # Reason of a replacement that waits for the beginning of its motion; empty for none.
+    successor: str = field(init=False, default="")
     progress: Progress | None = field(init=False, default=None)
     answered: asyncio.Future[Answer] = field(init=False, default_factory=_future)
 
@@ -337,7 +338,7 @@ class Goal(CancelScope):
     def cancel(self, reason: str, *, replaced: bool = False) -> None:
         """End the work; a replacement is deferred between the two calls below."""
         if replaced and self._deferring:
-            self._successor = reason
+            self.successor = reason
         else:
             super().cancel(reason, replaced=replaced)
 
@@ -349,16 +350,11 @@ class Goal(CancelScope):
         """
         self._deferring = True
 
-    @property
-    def replacement_waits(self) -> bool:
-        """True where another goal came that replaces it once its motion has begun."""
-        return bool(self._successor)
-
     def allow_replacement(self) -> None:
         """Have other goals replace it from now on, also those that came meanwhile."""
         self._deferring = False
-        if self._successor:
-            super().cancel(self._successor, replaced=True)
+        if self.successor:
+            super().cancel(self.successor, replaced=True)
 
     @property
     def title(self) -> str:

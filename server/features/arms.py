@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from protocol.messages import Stamp
 from robot.arm_group import ArmGroup
 from robot.errors import OrderRefused
 from robot.messages import ArmHealth, ArmState
@@ -200,3 +201,24 @@ def teleoperation_of(context: ServerContext) -> Teleoperation:
     leaders = [each.name for each, _ in context.single_arms if each.served.leads]
     following = FollowingContext(context.planning, context.goals.queue, context.whole.go_to)
     return Teleoperation(context.graph, following, followers, leaders)
+
+
+TOPIC = "/clock"
+
+
+class SimulatedTime(Feature):
+    """Publishes the stamp of each state of the arm."""
+
+    name = "the simulated time"
+
+    def __init__(self, context: ServerContext) -> None:
+        self._node = context.graph.node("clock")
+        self._node.advertise(TOPIC, "rosgraph_msgs/Clock")
+
+    @property
+    def observes_states(self) -> bool:
+        return bool(self._node.subscribers(TOPIC))
+
+    def on_state(self, _arm: str, state: ArmState) -> None:
+        """Publish the time of the only arm."""
+        self._node.publish(TOPIC, {"clock": Stamp.from_seconds(state.stamp_s).as_message()})

@@ -27,13 +27,12 @@ from server.datasets.rendered import (
 )
 from server.errors import GraphError
 from server.features.context import ServerContext
-from server.features.physics import Physics
+from server.features.physics import Physics, body_of
 from server.graph.permissions import WORKING
 from server.graph.topics import LocalNode
 from server.lifecycle import Feature, end_task
 from server.moveit.messages import Message, pose_of, write_transform
 from server.moveit.scene.collision_objects import CollisionObject
-from server.moveit.scene.physical_bodies import body_of
 from server.moveit.services.description import STATIC_TRANSFORMS_TOPIC
 
 MODULE = "server.datasets.rendering_process"

@@ -7,28 +7,31 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from planners.scene import Plane, Pose
+from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from protocol.errors import MessageError
 from robot.arm import Arm
 from robot.errors import RobotError
 from robot.messages import ArmState, Mode, PauseSimulation
-from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, Body, BodyState, SetBodies
+from robot.physics.bodies import DEFAULT_FRICTION, MAX_BODIES, MAX_HULL_CORNERS, Body, BodyShape, BodyState, SetBodies
+from robot.trajectory import Vector
 from server.config import NamedArmSettings
 from server.errors import ConfigurationError, RefusedError, ServerError, ServiceError
 from server.features.context import ArmContext, ServerContext
+from server.graph.message_types import MessageTypes
 from server.graph.permissions import WORKING
 from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.moveit.scene.collision_objects import IDENTITY, CollisionObject, read_bounded_pose
 from server.moveit.scene.frames import in_root, seen_from
-from server.moveit.scene.physical_bodies import body_of
 from server.moveit.scene.planning_scene import SceneContents, SceneDraft
+from server.moveit.scene.saved_scene import MAX_SCENE_BYTES, complete_scene
 from server.moveit.scene.scene_state import SceneChange
-from server.moveit.scene.worlds import body_refusal, read_world
+from server.named_files import SUFFIX, read_json
 
 # Ticks of one call of /simulation/step: ten seconds.
 MAX_STEPS = 1000
@@ -431,3 +434,95 @@ def _differ(first: Pose, second: Pose) -> bool:
     way_m = np.abs(np.subtract(first.position_m, second.position_m)).max()
     turned = np.abs(np.subtract(first.orientation, second.orientation)).max()
     return bool(way_m > SAME_M or turned > SAME_QUATERNION)
+
+
+CONE_SIDES = 24  # of the prism that stands for a cone
+
+
+def body_of(each: CollisionObject) -> Body:
+    """Return the body of an object at its pose, which stays where it is."""
+    shapes = tuple(_body_shape(*shape) for shape in each.shapes)
+    return Body(each.name, shapes, each.pose.position_m, each.pose.orientation)
+
+
+def _body_shape(shape: Shape, pose: Pose) -> BodyShape:
+    """Return the shape of a body; a mesh has its convex hull, and a cone is a pyramid of many sides."""
+    at = pose.position_m, pose.orientation
+    match shape:
+        case Box(size_m):
+            return BodyShape("box", tuple(0.5 * edge for edge in size_m), *at)
+        case Sphere(radius_m):
+            return BodyShape("sphere", (radius_m,), *at)
+        case Cylinder(radius_m, height_m):
+            return BodyShape("cylinder", (radius_m, 0.5 * height_m), *at)
+        case Plane(normal, offset_m):
+            return BodyShape("plane", (), *_plane_pose(pose, normal, offset_m))
+        case Cone(radius_m, height_m):
+            angles = np.linspace(0.0, math.tau, CONE_SIDES, endpoint=False).tolist()
+            foot = [(radius_m * math.cos(each), radius_m * math.sin(each), -0.5 * height_m) for each in angles]
+            return BodyShape("hull", (), *at, ((0.0, 0.0, 0.5 * height_m), *foot))
+        case Mesh():
+            corners = _outermost(shape.vertices_m).tolist()
+            return BodyShape("hull", (), *at, tuple((x, y, z) for x, y, z in corners))
+
+
+def _outermost(points_m: Vector) -> Vector:
+    """Return the corners of a convex hull, or of one inside it whose corners are the outermost in many directions."""
+    points = np.unique(points_m, axis=0)
+    if len(points) <= MAX_HULL_CORNERS:
+        return points
+    # Directions on a Fibonacci sphere, which cover it evenly.
+    index = np.arange(MAX_HULL_CORNERS) + 0.5
+    z, turn = 1.0 - 2.0 * index / MAX_HULL_CORNERS, math.pi * (1.0 + math.sqrt(5.0)) * index
+    level = np.sqrt(1.0 - z * z)
+    directions = np.column_stack((level * np.cos(turn), level * np.sin(turn), z))
+    outermost: Vector = points[np.unique(np.argmax(points @ directions.T, axis=0))]
+    return outermost
+
+
+def _plane_pose(pose: Pose, normal: tuple[float, float, float], offset_m: float) -> tuple[Any, Any]:
+    """Return position and orientation of a plane whose z axis is the normal: the shortest turn from z to it."""
+    x, y, z = normal
+    length = math.hypot(1.0 + z, x, y)
+    turn = (-y / length, x / length, 0.0, (1.0 + z) / length) if z > -1.0 + 1e-9 else (1.0, 0.0, 0.0, 0.0)
+    at = in_root(pose, Pose((offset_m * x, offset_m * y, offset_m * z), turn))
+    return at.position_m, at.orientation
+
+
+FOLDER = Path(__file__).parents[1] / "worlds"  # of the worlds that come with the program
+
+MAX_MASS_KG = 100.0
+MAX_FRICTION = 10.0
+
+
+def read_world(name: str, message_types: MessageTypes) -> tuple[Message, Sequence[Message]]:
+    """Read a world by its name or path: its moveit_msgs/PlanningScene, and a request of SetBody for each of its bodies.
+
+    Raises OSError, ValueError or MessageError.
+    """
+    known = sorted(path.stem for path in FOLDER.glob(f"*{SUFFIX}"))
+    path = FOLDER / f"{name}{SUFFIX}" if name in known else Path(name).expanduser()
+    if not path.is_file():
+        raise ValueError(f"there is no such file; the built-in worlds are {', '.join(known)}")
+    content = read_json(path, MAX_SCENE_BYTES)
+    bodies = content.pop("bodies", []) if isinstance(content, dict) else []
+    scene = complete_scene(message_types, content)
+    listed = bodies if isinstance(bodies, list) else [bodies]
+    requests = [message_types.complete("armbridge_msgs/srv/SetBody_Request", each) for each in listed]
+    names = {each["id"] for each in scene["world"]["collision_objects"]}
+    for at, request in enumerate(requests):
+        if request["id"] not in names:
+            raise ValueError(f"bodies[{at}].id: there is no object {request['id']!r} in the scene")
+        if refusal := body_refusal(request):
+            raise ValueError(f"bodies[{at}].{refusal}")
+    return scene, requests
+
+
+def body_refusal(request: Message) -> str:
+    """Return the reason why no body has these figures of a request of SetBody; empty for none."""
+    mass_kg, friction = request["mass"], request["friction"]
+    if not 0.0 <= mass_kg <= MAX_MASS_KG:
+        return f"mass must be 0 to {MAX_MASS_KG:g} kg, 0 for a mass by its volume, not {mass_kg:g}"
+    if not 0.0 <= friction <= MAX_FRICTION:
+        return f"friction must be 0 to {MAX_FRICTION:g}, 0 for {DEFAULT_FRICTION:g}, not {friction:g}"
+    return ""

@@ -16,7 +16,7 @@ import socket
 import struct
 import time
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -98,12 +98,10 @@ class ConnectionSlot(NamedTuple):
     release: Callable[[], None]
 
 
+@dataclass(slots=True)
 class _Address:
-    __slots__ = ("open_count", "rate")
-
-    def __init__(self, rate: RateLimiter) -> None:
-        self.open_count = 0
-        self.rate = rate
+    rate: RateLimiter
+    open_count: int = 0
 
 
 class ConnectionLimiter:
@@ -320,13 +318,9 @@ class AdmissionPolicy:
         self._own_names = own_names()
         self._allowed_hosts = settings.allowed_hosts
         self._origins = AllowedOrigins(settings.allowed_origins, classroom_ports)
-        self._counts: Counter[str] = Counter()
+        # Numbers of refused requests, by reason: host, origin, token, tokens (too many wrong ones).
+        self.refusals: Counter[str] = Counter()
         self._log = LogLimiter()
-
-    @property
-    def refusals(self) -> Mapping[str, int]:
-        """Numbers of refused requests, by reason: host, origin, token, tokens (too many wrong ones)."""
-        return self._counts
 
     def check(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
         """Return the identity of a sender, None before it has authenticated, or the answer that refuses it."""
@@ -399,7 +393,7 @@ class AdmissionPolicy:
         return HttpResponse.of_text(status, sentence)
 
     def _count_refusal(self, kind: str, value: str, sentence: str) -> None:
-        self._counts[kind] += 1
+        self.refusals[kind] += 1
         self._log.write(log, logging.WARNING, f"refused: {sentence}", (kind, value))
 
 

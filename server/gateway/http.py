@@ -30,7 +30,7 @@ from robot.logs import LogLimiter
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.permissions import Identity
 from server.installation import DOCS_DIRECTORY, PAGE_DIRECTORY
-from server.robot_files import RobotFiles, file_below, package_name, with_package_urls
+from server.robot_files import RobotFiles, file_below, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -321,8 +321,8 @@ class HttpHandler:
         self._robot_files = FileCache()
         self._descriptions: dict[str, bytes] = {}
         if robot is not None:
-            urdf = with_package_urls(robot.urdf, package_name(robot))
-            self._descriptions = {"description.urdf": urdf.encode(), "description.srdf": robot.srdf.encode()}
+            urdf, srdf = with_package_urls(robot), robot.srdf
+            self._descriptions = {"description.urdf": urdf.encode(), "description.srdf": srdf.encode()}
         self._log = LogLimiter()
         self._unread_bytes = 0
 

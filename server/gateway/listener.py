@@ -248,7 +248,7 @@ class Listener:
     ) -> None:
         self._settings = settings
         self._host = settings.host
-        self._port = settings.port
+        self.port = settings.port
         self._http = http or HttpHandler()
         self._access = access or unlimited()
         self.admission = AdmissionPolicy(
@@ -282,16 +282,12 @@ class Listener:
         self.traffic = Traffic()
 
     @property
-    def port(self) -> int:
-        return self._port
-
-    @property
     def tcp_port(self) -> int | None:
         return self._tcp_sockets[0].getsockname()[1] if self._tcp_sockets else None
 
     @property
     def url(self) -> str:
-        return f"{'ws' if self._tls is None else 'wss'}://{self._place(self._port)}"
+        return f"{'ws' if self._tls is None else 'wss'}://{self._place(self.port)}"
 
     @property
     def tcp_url(self) -> str | None:
@@ -301,7 +297,7 @@ class Listener:
 
     @property
     def page_url(self) -> str:
-        return f"{'http' if self._tls is None else 'https'}://{self._place(self._port)}/"
+        return f"{'http' if self._tls is None else 'https'}://{self._place(self.port)}/"
 
     @property
     def page_urls_elsewhere(self) -> Sequence[str]:
@@ -312,7 +308,7 @@ class Listener:
             found += [each for each in host_addresses() if ":" not in each or "::" in listening]
         scheme = "http" if self._tls is None else "https"
         addresses = [each for each in dict.fromkeys(found) if not is_loopback(each)]
-        return [f"{scheme}://{f'[{each}]' if ':' in each else each}:{self._port}/" for each in addresses]
+        return [f"{scheme}://{f'[{each}]' if ':' in each else each}:{self.port}/" for each in addresses]
 
     def _place(self, port: int) -> str:
         return f"[{self._host}]:{port}" if ":" in self._host else f"{self._host}:{port}"
@@ -326,11 +322,11 @@ class Listener:
 
         Raises ConfigurationError for an address open to others, StartError for an address that cannot be taken.
         """
-        places = await resolve(self._host, self._port)
+        places = await resolve(self._host, self.port)
         addresses = [str(address[0]) for _, address in places]
         check_exposure(self._host, addresses, self._access.tokens, insecure=self._access.settings.insecure)
-        self._sockets = listen(places, self._host, self._port)
-        self._port = self._sockets[0].getsockname()[1]
+        self._sockets = listen(places, self._host, self.port)
+        self.port = self._sockets[0].getsockname()[1]
         if self._settings.tcp_port is not None:
             self._tcp_sockets = listen(places, self._host, self._settings.tcp_port, "--tcp-port")
             for each in self._tcp_sockets:

@@ -160,7 +160,7 @@ class Transport(asyncio.Protocol):
         self._transport.set_write_buffer_limits(WRITE_LIMIT_BYTES)
         self._transports.add(self)
         if self._epoch < STOP_EPOCHS.present:
-            self._date_unread(self._epoch)
+            self.date_unread(self._epoch)
         STOP_EPOCHS.receivers.add(self)
         self._begin(self._slot.rejection)
 
@@ -250,11 +250,8 @@ class Transport(asyncio.Protocol):
                 self._epoch = STOP_EPOCHS.present if epoch is None else epoch
                 self._take_turn()
 
-    def date_unread(self) -> None:
-        """Note that what the socket holds has arrived before a stop, which another connection has brought sooner."""
-        self._date_unread(STOP_EPOCHS.present)
-
-    def _date_unread(self, epoch: int) -> None:
+    def date_unread(self, epoch: int | None = None) -> None:
+        """Note that what the socket holds has arrived in a stop epoch; None for the epoch of a stop that comes now."""
         try:
             descriptor = self._transport.get_extra_info("socket").fileno()
             unread = int.from_bytes(fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4)), sys.byteorder)
@@ -265,7 +262,8 @@ class Transport(asyncio.Protocol):
         end = self.received_bytes + unread
         if unread and (not self._unread or self._unread[-1][0] < end):
             full = len(self._unread) >= MAX_UNREAD
-            self._unread.append((end, self._unread.pop()[1] if full else epoch))
+            arrived = STOP_EPOCHS.present if epoch is None else epoch
+            self._unread.append((end, self._unread.pop()[1] if full else arrived))
 
     def _dated(self, data: bytes) -> list[tuple[bytes, int | None]]:
         """Count what has been received, and part it by the stop epochs of its arrival, None for the present one."""
@@ -292,6 +290,7 @@ class Transport(asyncio.Protocol):
 
     def _take_turn(self) -> None:
         """Hand over frames until the turn is over; the rest waits for the next turn, and the socket with it."""
+        self._turn_waits = False
         ends_s = time.monotonic() + TURN_S
         try:
             while (self._client is not None or self._discards) and not self._held and not self._ending:
@@ -323,12 +322,7 @@ class Transport(asyncio.Protocol):
     def _take_turn_later(self) -> None:
         if not self._turn_waits:
             self._turn_waits = True
-            asyncio.get_running_loop().call_soon(self._take_next_turn)
-
-    def _take_next_turn(self) -> None:
-        self._turn_waits = False
-        if not self._ending:
-            self._take_turn()
+            asyncio.get_running_loop().call_soon(self._take_turn)
 
     def _go_on_reading(self) -> None:
         if self._at_eof:

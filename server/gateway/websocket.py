@@ -8,6 +8,7 @@ pyproject.toml bounds its version, and each new major version has to be tried.
 
 import asyncio
 import contextlib
+import functools
 import logging
 import re
 import secrets
@@ -297,10 +298,8 @@ class WebSocket(Transport):
         self._ping_data, self._pinged_s = secrets.token_bytes(4), asyncio.get_running_loop().time()
         self._protocol.send_ping(self._ping_data)
         self._flush()
-        self._call_later(self._settings.ping_timeout_s, self._end_silent)
-
-    def _end_silent(self) -> None:
-        self._fail(CloseCode.INTERNAL_ERROR, "keepalive ping timeout")
+        end = functools.partial(self._fail, CloseCode.INTERNAL_ERROR, "keepalive ping timeout")
+        self._call_later(self._settings.ping_timeout_s, end)
 
     # Frames.
 

@@ -6,20 +6,25 @@ Files of ROS 2 messages are read also when they were not ended or are damaged.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import logging
 import math
+import sqlite3
 import struct
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
+import lz4.frame
 import uvloop
+import yaml
 import zstandard
 from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader, SeekingReader
-from mcap.records import Channel, Message, Schema
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, McapRecord, Message, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from protocol.codecs import cdr
 from protocol.errors import ProtocolError
@@ -32,18 +37,20 @@ from server.gateway.settings import ServerSettings
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.lifecycle import on_hangup, stop_signals, unless_ended
-from server.recording.files import RecordedMessage, is_latched
+from server.recording.files import QOS_KEY, RecordedMessage, is_latched
 from server.rosapi import RosApi
 
 log = logging.getLogger("armbridge.recording")
 
-# rosbag2's chunks have a megabyte; a larger record than this is damage, or an image that could not be replayed.
+# rosbag2's chunks have a megabyte; a larger record than this, also unpacked, is damage, or an image that could not be
+# replayed.
 MAX_RECORD_BYTES = 268_435_456
 
 MAGIC = b"\x89MCAP0\r\n"  # first bytes of a file (MCAP specification, "Magic")
 
-# Messages that a thread reads for the event loop at once.
+# Messages that a thread reads for the event loop at once, fewer of raw images.
 MESSAGES_AT_A_TIME = 500
+BYTES_AT_A_TIME = 16_777_216
 
 # Errors that the libraries raise for damaged data.
 _DAMAGE = (McapError, OSError, struct.error, ValueError, KeyError, RuntimeError, OverflowError, zstandard.ZstdError)
@@ -121,17 +128,19 @@ class RecordingFile:
         return Summary(list(topics), messages, max(latest_ns - earliest_ns, 0.0) / 1e9, complete=not self.damaged)
 
     def _records(self) -> Iterator[tuple[RecordedTopic, Message]]:
-        topics: dict[int, RecordedTopic] = {}
+        schemas, topics = dict[int, Schema](), dict[int, RecordedTopic]()
         with self._open() as stream:
             if stream.read(len(MAGIC)) != MAGIC:
                 raise RecordingError(self._path, "is not an MCAP file")
             stream.seek(0)
-            reader = NonSeekingReader(stream, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
             try:
-                for schema, channel, message in reader.iter_messages(log_time_order=False):
-                    if channel.id not in topics:
-                        topics[channel.id] = _recorded_topic(channel, schema)
-                    yield topics[channel.id], message
+                for record in _unpacked(stream):
+                    if isinstance(record, Schema):
+                        schemas[record.id] = record
+                    elif isinstance(record, Channel):
+                        topics[record.id] = _recorded_topic(record, schemas.get(record.schema_id))
+                    elif isinstance(record, Message):
+                        yield topics[record.channel_id], record
             except _DAMAGE:
                 self.damaged = True
 
@@ -140,6 +149,23 @@ class RecordingFile:
             return self._path.open("rb")
         except OSError as error:
             raise RecordingError(self._path, f"cannot be read: {error.strerror or error}") from error
+
+
+def _unpacked(stream: BinaryIO) -> Iterator[McapRecord]:
+    """Yield the records of a file and of its chunks; raises McapError for a chunk that unpacks to too much."""
+    reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+    for record in reader.records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        data = record.data
+        if record.compression == "zstd":
+            data = zstandard.ZstdDecompressor().stream_reader(data).read(MAX_RECORD_BYTES + 1)
+        elif record.compression == "lz4":
+            data = lz4.frame.LZ4FrameDecompressor().decompress(data, MAX_RECORD_BYTES + 1)
+        if len(data) > MAX_RECORD_BYTES:
+            raise McapError(f"a chunk unpacks to more than {MAX_RECORD_BYTES} bytes")
+        yield from breakup_chunk(replace(record, compression="", data=data), validate_crc=True)
 
 
 def _recorded_topic(channel: Channel, schema: Schema | None) -> RecordedTopic:
@@ -173,21 +199,20 @@ def replay(options: ReplayOptions) -> None:
     Raises RecordingError for the file, ConfigurationError for certificate and tokens, or none where others could
     connect, and StartError for the port.
     """
-    uvloop.run(serve(options))
+    # Ahead of the event loop: a file without an index is read whole, which a signal ends at once here.
+    uvloop.run(serve(options, RecordingFile(options.path).summary()))
 
 
-async def serve(options: ReplayOptions) -> None:
+async def serve(options: ReplayOptions, summary: Summary) -> None:
     """Start a server, play until the end or a signal, stop."""
     graph = Graph(load_registry(options.server.interfaces))
     RosApi(graph)
     # There is no arm to control, so no client needs the lease.
     access = Access(options.access.model_copy(update={"control": "shared"}))
     listener = Listener(graph, options.server, access=access)
-    recording = RecordingFile(options.path)
-    player = RecordingPlayer(graph, recording, options.rate)
+    player = RecordingPlayer(graph, RecordingFile(options.path), options.rate)
     ending, _hurry = stop_signals()
     on_hangup(listener.reload_certificate, ending.set)
-    summary = await asyncio.to_thread(recording.summary)
     try:
         await listener.bind()
         await listener.open()
@@ -213,6 +238,16 @@ async def _play(player: RecordingPlayer, options: ReplayOptions) -> None:
     while options.loop:
         await asyncio.sleep(LOOP_PAUSE_S)
         await player.play()
+
+
+def _next_messages(recorded: Iterator[RecordedMessage]) -> list[RecordedMessage]:
+    messages, size_bytes = [], 0
+    for message in itertools.islice(recorded, MESSAGES_AT_A_TIME):
+        messages.append(message)
+        size_bytes += len(message.octets)
+        if size_bytes >= BYTES_AT_A_TIME:
+            break
+    return messages
 
 
 class RecordingPlayer:
@@ -243,7 +278,7 @@ class RecordingPlayer:
         loop = asyncio.get_running_loop()
         started_s, first_ns = loop.time(), None
         recorded = self._recording.messages()
-        while messages := await asyncio.to_thread(lambda: list(itertools.islice(recorded, MESSAGES_AT_A_TIME))):
+        while messages := await asyncio.to_thread(_next_messages, recorded):
             for message in messages:
                 first_ns = message.log_time_ns if first_ns is None else first_ns
                 due_s = started_s + (message.log_time_ns - first_ns) / 1e9 / self._rate
@@ -272,3 +307,43 @@ class RecordingPlayer:
             self._unreadable_topics.write(log, logging.WARNING, line, message.topic)
         else:
             self.published += 1
+
+
+METADATA_FILE = "metadata.yaml"
+SQLITE = ".db3"
+
+_MESSAGES = (
+    "SELECT name, type, offered_qos_profiles, timestamp, data FROM messages JOIN topics ON topics.id = topic_id"
+    " WHERE serialization_format = 'cdr' ORDER BY timestamp"
+)
+
+
+def messages(path: Path) -> Iterator[RecordedMessage]:
+    """Yield the messages of a file or bag in their order; raises RecordingError."""
+    for file in _files(path) if path.is_dir() else [path]:
+        if file.suffix == SQLITE:
+            if not file.is_file():
+                raise RecordingError(file, "cannot be read: No such file")
+            try:
+                with contextlib.closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as database:
+                    for topic, type_name, qos, log_time_ns, octets in database.execute(_MESSAGES):
+                        latched = is_latched({QOS_KEY: str(qos)})
+                        yield RecordedMessage(topic, type_name, latched, log_time_ns, log_time_ns, octets)
+            except sqlite3.Error as error:
+                raise RecordingError(file, f"is no SQLite file of rosbag2: {error}") from error
+        else:
+            yield from RecordingFile(file).messages()
+
+
+def _files(bag: Path) -> list[Path]:
+    try:
+        described: Any = yaml.safe_load((bag / METADATA_FILE).read_text())["rosbag2_bagfile_information"]
+        # Early releases name the folder as well.
+        files = [bag / Path(name).name for name in described["relative_file_paths"]]
+    except FileNotFoundError as error:
+        raise RecordingError(bag, f"has no {METADATA_FILE}; ros2 bag reindex writes it") from error
+    except (OSError, ValueError, LookupError, TypeError, yaml.YAMLError) as error:
+        raise RecordingError(bag, f"{METADATA_FILE} does not describe the files of a bag") from error
+    if described.get("compression_mode"):
+        raise RecordingError(bag, "is compressed by rosbag2; ros2 bag convert writes it without compression")
+    return files

@@ -15,7 +15,7 @@ import bson
 from protocol.codecs import png
 from protocol.registry import Registry
 from tests.conformance.cases import cases, frame_of
-from tests.fuzz.target import ADVANCE, BINARY, CLIENT, ESCAPES, FLUSH, SEPARATOR, TOKENS, escape
+from tests.fuzz.target import ADVANCE, BINARY, CLIENT, FLUSH, SEPARATOR, TOKENS, escape
 from tests.helpers.messages import MESSAGE_TYPES, made_up
 
 IDS = ("1", "2", "service_request:/s:1", "service_request:/s:2", "action_goal:/a:1", 7, "x" * 600)
@@ -96,18 +96,6 @@ class SessionMaker:
         """Choose who plays the clients of a case."""
         names = sorted({step["client"] for step in case})
         return dict(zip(names, self._random.choice(CLIENTS), strict=False))
-
-    def stream(self) -> bytes:
-        """Make a stream of raw TCP, of BSON or of JSON, which `run_stream` plays."""
-        random, count = self._random, self._random.randrange(1, 12)
-        if random.random() < 0.5:
-            frames = [self._bson(self._operation(), BINARY)[:-1] for _ in range(count)]
-            for byte, escaped in reversed(ESCAPES):
-                frames = [frame.replace(escaped, byte) for frame in frames]
-        else:
-            frames = [json.dumps(self._operation()).encode() for _ in range(count)]
-        data = random.choice((b"", b"", b"\n", b"\0", b" ")).join(frames)
-        return self._damaged(data) if random.random() < 0.3 else data
 
     def interface_file(self) -> bytes:
         """Make an interface file, which `run_interface_file` reads."""

@@ -1,8 +1,8 @@
-"""What a fuzzer feeds with any bytes: a session, four clients on one graph, a stream, the reader of interface files."""
+"""What a fuzzer feeds with any bytes: four clients on one graph, and the reader of interface files."""
 
 import itertools
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeAlias
@@ -12,9 +12,7 @@ import orjson
 from bson import decode as decode_bson
 
 from protocol.codecs.bson import is_document
-from protocol.errors import FrameError
-from protocol.framing import StreamSplitter
-from protocol.interface_files import read_file
+from protocol.interface_packages import read_file
 from protocol.limits import Limits
 from protocol.publication import Frame
 from protocol.session import Session
@@ -170,32 +168,6 @@ def run_world(data: bytes) -> None:
         for control, frame in parts_of(data):
             world.receive(control, frame)
         world.end()
-
-
-def run_stream(data: bytes) -> None:
-    """Play bytes as a stream of raw TCP; it is cut into the same frames however it has been cut on its way."""
-    whole = _frames_of_stream([data])
-    size = 1 + len(data) % 17
-    pieces = _frames_of_stream([data[start : start + size] for start in range(0, len(data), size)])
-    if whole != pieces:
-        raise FindError(f"a stream gives {len(whole)} frames in one piece and {len(pieces)} in pieces of {size} bytes")
-    session = Session(LIMITS)
-    for frame in whole:
-        if frame is not None:
-            session.receive_frame(frame, 0.0)
-
-
-def _frames_of_stream(pieces: Iterable[bytes]) -> list[bytes | None]:
-    """Cut a stream into frames; None at the end stands for one that cannot be cut any further."""
-    splitter, frames = StreamSplitter(LIMITS.max_message_bytes), list[bytes | None]()
-    try:
-        for piece in pieces:
-            splitter.add(piece)
-            while (frame := splitter.next_frame()) is not None:
-                frames.append(frame)
-    except FrameError:
-        frames.append(None)
-    return frames
 
 
 def run_interface_file(data: bytes) -> None:

@@ -11,12 +11,11 @@ from random import Random
 import pytest
 
 from harness.server import ROOT
-from protocol.framing import StreamSplitter
 from protocol.publication import Frame
 from server.gateway.client_topics import ClientTopics
 from tests.fuzz import target
 from tests.fuzz.sessions import SessionMaker
-from tests.fuzz.target import CORPUS, REGISTRY, parts_of, problem_of, run_interface_file, run_stream, run_world
+from tests.fuzz.target import CORPUS, REGISTRY, parts_of, problem_of, run_interface_file, run_world
 
 
 def sessions(seed: int, number: int) -> list[bytes]:
@@ -24,23 +23,24 @@ def sessions(seed: int, number: int) -> list[bytes]:
     return [maker.session() for _ in range(number)]
 
 
-def test_a_seed_makes_the_same_sessions_again() -> None:
-    assert sessions(1, 5) == sessions(1, 5)
-    assert sessions(1, 5) != sessions(2, 5)
+def test_a_seed_makes_the_same_sessions_again_and_a_binary_frame_may_have_every_byte() -> None:
+    assert sessions(1, 5) == sessions(1, 5) != sessions(2, 5)
+    frame = bytes(range(256)) + b"\xfe\x00\xfe\x01\xfe\xfe\xff\xff"
+    ((control, played),) = parts_of(target.escape(frame) + b"\x02" + target.SEPARATOR)
+    assert control == 2
+    assert target.frame_of(played, binary=True) == frame
 
 
-@pytest.mark.parametrize("run", [run_world, run_stream, run_interface_file])
-def test_no_input_of_the_corpus_is_a_find(run: target.Run) -> None:
+def test_no_input_of_the_corpus_is_a_find() -> None:
     inputs = {path.name: path.read_bytes() for path in CORPUS.iterdir()}
     assert len(inputs) > 10
-    assert {name: problem for name, data in inputs.items() if (problem := problem_of(data, run))} == {}
+    assert {name: problem for name, data in inputs.items() if (problem := problem_of(data))} == {}
 
 
 @pytest.mark.parametrize("number", range(int(os.environ.get("FUZZ_BATCHES", "1"))))
 def test_nothing_is_found_in_a_batch(number: int) -> None:
     maker = SessionMaker(Random(number), REGISTRY, [path.read_bytes() for path in sorted(CORPUS.iterdir())])
-    others = [(maker.stream, run_stream), (maker.interface_file, run_interface_file)]
-    for make, run in [(maker.session, run_world)] * 46 + others * 2:
+    for make, run in [(maker.session, run_world)] * 46 + [(maker.interface_file, run_interface_file)] * 2:
         data = make()
         if problem := problem_of(data, run):
             find = target.cut_down(data, run)
@@ -64,18 +64,3 @@ def test_an_error_that_the_server_logs_is_a_find_and_cut_down_to_its_frames(monk
 def test_a_frame_to_a_client_that_browsers_cannot_read_is_a_find(data: bytes) -> None:
     with pytest.raises(target.FindError):
         target.check_sent(Frame(data, text=True))
-
-
-def test_a_binary_frame_may_have_every_byte() -> None:
-    frame = bytes(range(256)) + b"\xfe\x00\xfe\x01\xfe\xfe\xff\xff"
-    ((control, played),) = parts_of(target.escape(frame) + b"\x02" + target.SEPARATOR)
-    assert control == 2
-    assert target.frame_of(played, binary=True) == frame
-
-
-def test_a_stream_cut_into_other_frames_when_it_comes_in_pieces_is_a_find(monkeypatch: pytest.MonkeyPatch) -> None:
-    maker = SessionMaker(Random(5), REGISTRY, [])
-    streams = [maker.stream() for _ in range(60)]
-    add = StreamSplitter.add
-    monkeypatch.setattr(StreamSplitter, "add", lambda splitter, data: add(splitter, data[:100]))
-    assert any(problem_of(data, run_stream) for data in streams)

@@ -152,29 +152,6 @@ CHANGES = [
     packet(ALL, ACTION),
     *(packet(3, code) for code in (RESTORE, REBOOT, BACKUP, CALIBRATE)),
 ]
-COMMANDS = [
-    {"push": {"3": 200}},
-    {"obstacle": {"1": 2100}},
-    {"obstacle": {"1": None}},
-    {"hand": {"1": 1800}},
-    {"hand": {"1": None}},
-    {"jump": {"3": 50}},
-    {"temperature": {"3": 66}},
-    {"heat_rate": 3600},
-    {"voltage": {"3": 3.0}},
-    {"status": {"3": 32}},
-    {"status": {"3": 0}},
-    {"offline": [1]},
-    {"online": [1]},
-    {"power_cycle": [3]},
-    {"torque_off": [3]},
-    {"powers_up_holding": [3]},
-    {"stall_behind_missing": True},
-    {"drop": 0.5},
-    {"drop": 0.0},
-    {"delay": 1.0, "delay_s": 0.2},
-    {"delay": 0.0},
-]
 PACKETS = st.sampled_from(CHANGES + QUESTIONS)
 # Whole instructions, several that come together, and some that end too early.
 REQUESTS = st.one_of(

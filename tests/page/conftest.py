@@ -8,6 +8,7 @@ from playwright.sync_api import Browser
 
 from harness.page import DESKTOP, OpenPage, chromium, opened, what_is_missing
 from harness.server import RunningServer
+from tests.helpers.arm_record import ArmRecord, arm_record
 
 
 @pytest.fixture(scope="session")
@@ -31,6 +32,12 @@ def settings(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRe
 def server(settings: dict[str, str]) -> Iterator[RunningServer]:
     with RunningServer(settings=settings) as running:
         yield running
+
+
+@pytest.fixture(scope="module")
+def record(server: RunningServer) -> Iterator[ArmRecord]:
+    with arm_record(server.url) as kept:
+        yield kept
 
 
 @pytest.fixture

@@ -76,8 +76,7 @@ def test_a_mesh_of_100_mb_is_a_placeholder_and_a_message_on_a_page_that_works(
     with RunningServer(settings={**settings, **arm}) as server, opened(browser) as page:
         page.open(server.port)
         page.until_state("s.notices.some(notice => notice.text.includes('huge.stl: larger'))")
-        page.part("stop").click()
-        page.until_text("stop", "acknowledged")
+        page.stop()
         page.shot("huge_mesh")
 
 

@@ -1,6 +1,5 @@
 """Driving the emulated arm by hand: buttons, keys, gamepad and pads; each moves it, and letting go stops it."""
 
-import contextlib
 import math
 import time
 from collections.abc import Callable, Iterator
@@ -10,18 +9,10 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser
 
-from harness.clients import tip
+from harness.clients import SPEED_FACTOR, publish, tip
 from harness.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
 from harness.server import RunningServer
-
-# A servo's reading jitters by less; a jogged joint goes this way in a tenth of a second.
-MOVED_RAD = 0.05
-STILL_RAD_S = 0.02
-
-# So often it is looked whether the arm stands, 0.3 s each: a gripper takes several seconds to open.
-LOOKS = 4
-MOVES_WITHIN_S = 120.0
-PRESSED_MS = 15_000
+from tests.helpers.arm_record import MOVED_RAD, ArmRecord, hold_until
 
 # A gamepad with the standard mapping, which the tests hold in window.pad.
 GAMEPAD = """
@@ -34,16 +25,19 @@ window.holdPad = (axes, pressed) => {
 };
 """
 
-# Commands of the page, as they leave it.
+# Commands of the page, as they leave it, and how many had left it when an input was let go.
 LISTEN = """
 window.sent = [];
 window.addEventListener("pointerdown", ({ pointerId }) => (window.pointer = pointerId), { capture: true });
+for (const type of ["pointerup", "blur"]) {
+    window.addEventListener(type, () => (window.let_go = window.sent.length), { capture: true });
+}
 const send = WebSocket.prototype.send;
 WebSocket.prototype.send = function (data) {
     if (!window.stalled) send.call(this, data);
     const message = typeof data === "string" ? JSON.parse(data) : {};
     if (message.op === "publish" && message.topic.startsWith("/servo_node/delta")) {
-        window.sent.push({ at_ms: performance.now(), msg: message.msg });
+        window.sent.push(message.msg);
     }
 };
 """
@@ -87,42 +81,17 @@ def _ready(page: OpenPage, server: RunningServer) -> OpenPage:
     return page
 
 
-def drive(page: OpenPage, press: Callable[[], None], let_go: Callable[[], None]) -> None:
+def drive(record: ArmRecord, press: Callable[[], object], let_go: Callable[[], object]) -> None:
     """Press an input until the arm has moved."""
-    first = list(page.joints().values())
-    press_until(page, f"s.joints.position_rad.some((at, i) => Math.abs(at - {first}[i]) > {MOVED_RAD})", press, let_go)
-
-
-def press_until(page: OpenPage, condition: str, press: Callable[[], None], let_go: Callable[[], None]) -> None:
-    """Press an input until a condition of the state.
-
-    A server that was late and has ended steering follows the held input again. After a link that was lost, and may be
-    back by now, the input must be let go and pressed again.
-    """
-    until_s = time.monotonic() + MOVES_WITHIN_S
-    while True:
-        page.until_state("s.link.connected")
-        press()
-        with contextlib.suppress(AssertionError):
-            return page.until_state(condition, PRESSED_MS)
-        assert time.monotonic() < until_s, page.describe()
-        let_go()
-
-
-def until_still(page: OpenPage) -> None:
-    """Wait until the arm stands and the servo loop has given it up."""
-    # A state that is shown may be from before the motion: one that does not end is still seen after the last look.
-    for _ in range(LOOKS):
-        page.until_state(f"s.joints.velocity.every((speed) => Math.abs(speed) < {STILL_RAD_S})")
-        at = list(page.joints().values())
-        page.page.wait_for_timeout(300)
-        if list(page.joints().values()) == pytest.approx(at, abs=0.02):
-            return
-    pytest.fail("the arm goes on moving")
+    began_s = time.time()
+    hold_until(lambda: record.way_rad(began_s) > MOVED_RAD, press, let_go)
 
 
 def last_is_zero(page: OpenPage) -> bool:
-    msg: dict[str, Any] = page.page.evaluate("window.sent.at(-1).msg")
+    return is_zero(page.page.evaluate("window.sent.at(-1)"))
+
+
+def is_zero(msg: dict[str, Any]) -> bool:
     if "velocities" in msg:
         return not any(msg["velocities"])
     return not any(value for part in msg["twist"].values() for value in part.values())
@@ -136,67 +105,69 @@ def hold(page: OpenPage, test_id: str) -> None:
 
 
 @pytest.mark.parametrize("test_id", ["jog-z-plus", "jog-shoulder_pan-plus"])
-def test_a_button_moves_the_arm_while_it_is_held(page: OpenPage, test_id: str) -> None:
-    drive(page, lambda: hold(page, test_id), page.page.mouse.up)
+def test_a_button_moves_the_arm_while_it_is_held(page: OpenPage, record: ArmRecord, test_id: str) -> None:
+    drive(record, lambda: hold(page, test_id), page.page.mouse.up)
     page.page.mouse.move(5, 300)
     page.page.mouse.up()
     assert last_is_zero(page)
-    until_still(page)
+    record.until_rest()
 
 
 def commanded_rad(page: OpenPage, joint: str = "shoulder_pan") -> float:
     return float(page.state("commanded_rad")[joint])
 
 
-def test_steps_move_a_joint_by_their_sizes_and_quick_presses_add_up(page: OpenPage) -> None:
+def test_steps_move_a_joint_by_their_sizes_and_quick_presses_add_up(page: OpenPage, record: ArmRecord) -> None:
     page.part("drive-mode").select_option("1")
     end_rad = commanded_rad(page) - 3 * math.radians(5)
     for _ in range(3):
         page.part("jog-shoulder_pan-minus").click()
     page.until_state(f"Math.abs(s.commanded_rad.shoulder_pan - {end_rad}) < 1e-3")
-    until_still(page)
+    record.until_rest()
     assert commanded_rad(page) == pytest.approx(end_rad, abs=1e-3)
     assert page.joints()["shoulder_pan"] == pytest.approx(end_rad, abs=0.03)
 
 
-def test_a_step_moves_the_tip_along_one_axis(page: OpenPage, server: RunningServer) -> None:
+def test_a_step_moves_the_tip_along_one_axis(page: OpenPage, record: ArmRecord, server: RunningServer) -> None:
     page.part("drive-mode").select_option("2")
     x_m, y_m, z_m = tip(server.url, "gripper_frame_link")
     lift_rad = commanded_rad(page, "shoulder_lift")
     page.part("jog-z-plus").click()
     page.until_state(f"s.pending_request === 'nothing' && Math.abs(s.commanded_rad.shoulder_lift - {lift_rad}) > 0.01")
-    until_still(page)
+    record.until_rest()
     # Servos carry the arm's weight, and have backlash.
     assert tip(server.url, "gripper_frame_link") == pytest.approx((x_m, y_m, z_m + 0.02), abs=0.006)
 
 
-def test_a_stop_ends_steps_on_their_way(page: OpenPage) -> None:
+def test_a_stop_ends_steps_on_their_way(page: OpenPage, record: ArmRecord, server: RunningServer) -> None:
     page.part("drive-mode").select_option("2")
     end_rad = commanded_rad(page) - 6 * math.radians(15)
+    # Slow, so that the steps are on their way however late the stop comes.
+    publish(server.url, *SPEED_FACTOR, {"data": 0.1})
     for _ in range(6):
         page.part("jog-shoulder_pan-minus").click()
     page.until_state("s.goal.state === 'executing'")
-    page.part("stop").click()
-    page.until_text("stop", "acknowledged")
-    until_still(page)
+    page.stop()
+    record.until_rest()
+    publish(server.url, *SPEED_FACTOR, {"data": 1.0})
     assert commanded_rad(page) > end_rad + 0.1
 
 
-def test_keys_move_the_arm_once_they_are_switched_on_and_esc_stops_it(page: OpenPage) -> None:
+def test_keys_move_the_arm_once_they_are_switched_on_and_esc_stops_it(page: OpenPage, record: ArmRecord) -> None:
     page.part("tab-drive").evaluate("element => element.blur()")
     page.page.keyboard.down("Digit1")
     page.page.keyboard.up("Digit1")
     assert page.page.evaluate("window.sent.length") == 0
     page.part("jog").check()
     for key in ("Digit1", "ArrowDown"):
-        drive(page, partial(page.page.keyboard.down, key), partial(page.page.keyboard.up, key))
+        drive(record, partial(page.page.keyboard.down, key), partial(page.page.keyboard.up, key))
         page.page.keyboard.up(key)
         assert last_is_zero(page)
-        until_still(page)
-    drive(page, lambda: page.page.keyboard.down("KeyQ"), lambda: page.page.keyboard.up("KeyQ"))
+        record.until_rest()
+    drive(record, lambda: page.page.keyboard.down("KeyQ"), lambda: page.page.keyboard.up("KeyQ"))
     page.page.keyboard.press("Escape")
     assert last_is_zero(page)
-    until_still(page)
+    record.until_rest()
     page.page.keyboard.up("KeyQ")
     page.part("jog").uncheck()
 
@@ -210,23 +181,23 @@ def test_keys_move_the_arm_once_they_are_switched_on_and_esc_stops_it(page: Open
         ".dispatchEvent(new PointerEvent('lostpointercapture', { pointerId: window.pointer }))",
     ],
 )
-def test_who_leaves_lets_go(page: OpenPage, leave: str) -> None:
-    drive(page, lambda: hold(page, "jog-y-plus"), page.page.mouse.up)
+def test_who_leaves_lets_go(page: OpenPage, record: ArmRecord, leave: str) -> None:
+    drive(record, lambda: hold(page, "jog-y-plus"), page.page.mouse.up)
     page.page.evaluate(leave)
     assert last_is_zero(page)
-    until_still(page)
+    record.until_rest()
     page.page.mouse.up()
 
 
-def test_a_stalled_network_stops_the_arm(page: OpenPage) -> None:
-    drive(page, lambda: hold(page, "jog-shoulder_pan-minus"), page.page.mouse.up)
+def test_a_stalled_network_stops_the_arm(page: OpenPage, record: ArmRecord) -> None:
+    drive(record, lambda: hold(page, "jog-shoulder_pan-minus"), page.page.mouse.up)
     page.page.evaluate("window.stalled = true")
-    until_still(page)
+    record.until_rest()
     page.page.mouse.up()
     page.page.evaluate("window.stalled = false")
 
 
-def test_a_gamepad_moves_the_arm_while_its_dead_man_is_held(page: OpenPage) -> None:
+def test_a_gamepad_moves_the_arm_while_its_dead_man_is_held(page: OpenPage, record: ArmRecord) -> None:
     page.part("gamepad").check()
     page.page.bring_to_front()
     page.page.evaluate("holdPad([1, 0, 0, 0], [])")
@@ -236,13 +207,13 @@ def test_a_gamepad_moves_the_arm_while_its_dead_man_is_held(page: OpenPage) -> N
         page.page.evaluate("holdPad([1, 0, 0, 0], [])")
         page.until_text("gamepad-state", "hold a shoulder")
         let_pad_go = partial(page.page.evaluate, "holdPad([1, 0, 0, 0], [])")
-        drive(page, partial(page.page.evaluate, "holdPad([1, 0, 0, 0], [4])"), let_pad_go)
+        drive(record, partial(page.page.evaluate, "holdPad([1, 0, 0, 0], [4])"), let_pad_go)
         page.page.evaluate(let_go)
-        until_still(page)
+        record.until_rest()
     page.part("gamepad").uncheck()
 
 
-def test_two_thumbs_drive_on_a_phone(phone: OpenPage) -> None:
+def test_two_thumbs_drive_on_a_phone(phone: OpenPage, record: ArmRecord) -> None:
     page = phone
     page.part("dead-man-left").scroll_into_view_if_needed()
     fingers = Fingers(page)
@@ -259,22 +230,24 @@ def test_two_thumbs_drive_on_a_phone(phone: OpenPage) -> None:
         push_thumb()
         fingers.press(2, "dead-man-left")
 
-    drive(page, push_while_held, fingers.lift_all)
+    drive(record, push_while_held, fingers.lift_all)
     fingers.lift(2)
-    until_still(page)
+    record.until_rest()
     fingers.lift(1)
 
 
-def test_the_gripper_opens_while_its_button_is_held(page: OpenPage) -> None:
-    drive(page, lambda: hold(page, "jog-gripper-plus"), page.page.mouse.up)
+def test_the_gripper_opens_while_its_button_is_held(page: OpenPage, record: ArmRecord) -> None:
+    drive(record, lambda: hold(page, "jog-gripper-plus"), page.page.mouse.up)
     page.page.mouse.up()
-    until_still(page)
+    # To the end of the last goal of 0.2 s.
+    record.until_rest(way_rad=0.6)
     assert page.state("notices") == []
 
 
-def test_what_limits_the_arm_is_said_in_words(page: OpenPage) -> None:
+def test_what_limits_the_arm_is_said_in_words(page: OpenPage, record: ArmRecord) -> None:
     page.part("tab-drive").evaluate("element => element.blur()")
-    press_until(page, "s.servo_node.code > 0", lambda: hold(page, "jog-x-plus"), page.page.mouse.up)
+    hold_until(lambda: page.state("servo_node.code") > 0, lambda: hold(page, "jog-x-plus"), page.page.mouse.up)
     page.until("/Slowed|Halted|limit/.test(document.querySelector('[data-testid=drive-status]').textContent)")
     page.page.mouse.up()
-    until_still(page)
+    # Close to a singularity joints are fast.
+    record.until_rest(way_rad=1.0)

@@ -7,12 +7,15 @@ import pytest
 from playwright.sync_api import Browser
 
 from harness.clients import goal
-from harness.page import LYING_PHONE, PHONE, SIZES, OpenPage, opened
+from harness.page import DESKTOP, LYING_PHONE, PHONE, SIZES, OpenPage, opened
 from harness.server import RunningServer
 
 # The lower arm in the shoulder, and MoveIt's code for it.
 COLLIDING = {"name": ["shoulder_lift", "elbow_flex", "wrist_flex"], "position": [1.7, 1.6, 0.0]}
 GOAL_IN_COLLISION = -12
+
+# A row of the bar with the button to stop, and two rows of a thumb's size on a tablet or phone.
+MAX_BAR_PX = {size: 124 if size in (PHONE, (820, 1180)) else 64 for size in SIZES}
 
 # Thirty letters stand beside each other.
 LEAST_SENTENCE_PX = 180
@@ -40,15 +43,22 @@ FIND_COVERED = """() => {
 }"""
 
 
-@pytest.fixture(scope="module", params=["en", "de"])
+# What phones and tablets have.
+TOUCH = {"has_touch": True, "is_mobile": True}
+
+
+@pytest.fixture(scope="module", params=[{}, {"locale": "de"}], ids=["en", "de"])
 def page(browser: Browser, server: RunningServer, request: pytest.FixtureRequest) -> Iterator[OpenPage]:
-    with opened(browser, locale=request.param) as open_page:
+    with opened(browser, **request.param) as open_page:
         open_page.open(server.port)
         open_page.until_state("s.identity !== null && s.servos.length > 0")
         # The bar is fullest where it offers another goal beside a long sentence.
         assert goal(server.url, "/moveit_goal_joints", COLLIDING)["val"] == GOAL_IN_COLLISION
         open_page.part("suggestion").wait_for()
         yield open_page
+
+
+IN_ENGLISH = pytest.mark.parametrize("page", [{}], ids=["en"], indirect=True)
 
 
 @pytest.mark.parametrize("size", SIZES, ids=[f"{width}x{height}" for width, height in SIZES])
@@ -67,27 +77,60 @@ def test_nothing_is_cut_off_or_covered_in_any_panel(page: OpenPage, size: tuple[
     assert tuple(view) == size
 
 
+@IN_ENGLISH
+def test_the_picture_moves_aside_for_a_panel_and_comes_back(page: OpenPage) -> None:
+    page.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+    page.open_panel("move")
+    page.part("close-panel-move").click()
+    page.open_panel("move")
+    beside = page.screen_of((0.0, 0.0, 0.1))[0]
+    page.part("close-panel-move").click()
+    page.wait(lambda: page.screen_of((0.0, 0.0, 0.1))[0] > beside + 50)
+    page.open_panel("move")
+    page.wait(lambda: abs(page.screen_of((0.0, 0.0, 0.1))[0] - beside) < 2)
+
+
+@IN_ENGLISH
+def test_the_tour_has_four_steps(page: OpenPage) -> None:
+    page.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+    page.open_panel("settings")
+    page.part("tour-start").click()
+    pointed_at = "[...document.querySelectorAll('.pointed-at')].map(each => each.id || each.className).join()"
+    for step, target in enumerate(("view", "transport pointed-at", "stop", "rail"), 1):
+        assert (page.part("tour-text").text_content() or "").startswith(f"{step} of 4")
+        assert page.page.evaluate(pointed_at) == target
+        page.part("tour-next").click()
+    assert not page.part("tour").is_visible()
+    assert page.page.evaluate(pointed_at) == ""
+
+
 @pytest.mark.parametrize("size", SIZES, ids=[f"{width}x{height}" for width, height in SIZES])
-def test_stop_and_rail_stay_in_their_place_and_nothing_is_covered_while_the_arm_moves(
+def test_bar_stop_and_rail_stay_in_their_place_and_nothing_is_covered_while_the_arm_moves(
     browser: Browser, server: RunningServer, size: tuple[int, int]
 ) -> None:
-    with opened(browser, size, has_touch=size[0] < 1000) as page:
+    with opened(browser, size, **(TOUCH if size[0] < 1000 else {})) as page:
         page.open(server.port)
+        # A small screen begins with the picture alone.
+        assert page.part("panel-move").is_visible() is (min(size) > 500)
+        assert page.page.evaluate("document.querySelector('#bar').offsetHeight") <= MAX_BAR_PX[size]
+        assert page.page.evaluate("document.documentElement.scrollWidth") <= size[0]
+        for test_id in ("stop", "state-pill", "link-pill"):
+            box = page.box(test_id)
+            assert 0 <= box["x"] <= box["x"] + box["width"] <= size[0]
+            assert 0 <= box["y"] <= box["y"] + box["height"] <= size[1]
         page.open_panel("move")
         places = [(page.box("stop"), page.box("tab-move"))]
         page.part("close-panel-move").click()
         places.append((page.box("stop"), page.box("tab-move")))
         page.open_panel("move")
-        page.part("named-home").click()
-        page.part("plan-and-move").click()
-        page.until_state("s.goal.state === 'done' && s.goal.code === 1")
-        page.part("named-rest").click()
+        # Slow, so that the arm still moves however late a test looks.
+        page.part("speed").fill("0.05")
+        page.part("named-extended").click()
         page.press("plan")
         page.press("go")
         page.until_offered("pause")
         assert page.page.evaluate(FIND_COVERED) == []
-        page.part("stop").click()
-        page.until_text("stop", "acknowledged")
+        page.stop()
         places.append((page.box("stop"), page.box("tab-move")))
         assert [place for place in places if place != places[0]] == []
 
@@ -95,7 +138,7 @@ def test_stop_and_rail_stay_in_their_place_and_nothing_is_covered_while_the_arm_
 def test_pads_stand_left_and_right_of_the_picture_with_a_bar_under_each_thumb(
     browser: Browser, server: RunningServer
 ) -> None:
-    with opened(browser, LYING_PHONE, has_touch=True, is_mobile=True) as page:
+    with opened(browser, LYING_PHONE, **TOUCH) as page:
         page.open(server.port)
         page.open_panel("drive")
         width, height = LYING_PHONE
@@ -109,38 +152,3 @@ def test_pads_stand_left_and_right_of_the_picture_with_a_bar_under_each_thumb(
             assert (pad["x"] + pad["width"] < arm_x) == (side == "left")
         page.part("drive-rest").locator("> summary").click()
         assert page.part("jog-gripper-plus").is_visible()
-
-
-def test_the_picture_moves_aside_for_a_panel_and_comes_back(browser: Browser, server: RunningServer) -> None:
-    with opened(browser) as page:
-        page.open(server.port)
-        # The first picture may be older than the arm's first position, by which all others are framed.
-        page.wait(page.joints)
-        page.part("close-panel-move").click()
-        page.open_panel("move")
-        beside = page.screen_of((0.0, 0.0, 0.1))[0]
-        page.part("close-panel-move").click()
-        page.wait(lambda: page.screen_of((0.0, 0.0, 0.1))[0] > beside + 50)
-        page.open_panel("move")
-        page.wait(lambda: abs(page.screen_of((0.0, 0.0, 0.1))[0] - beside) < 2)
-
-
-def test_a_phone_begins_with_the_picture_alone(browser: Browser, server: RunningServer) -> None:
-    with opened(browser, PHONE, has_touch=True, is_mobile=True) as page:
-        page.open(server.port)
-        assert page.state("layout") == {"shown": "", "pinned": ""}
-        assert not page.part("panel-move").is_visible()
-
-
-def test_the_tour_has_four_steps(browser: Browser, server: RunningServer) -> None:
-    with opened(browser, locale="en") as page:
-        page.open(server.port)
-        page.open_panel("settings")
-        page.part("tour-start").click()
-        pointed_at = "[...document.querySelectorAll('.pointed-at')].map(each => each.id || each.className).join()"
-        for step, target in enumerate(("view", "transport pointed-at", "stop", "rail"), 1):
-            assert (page.part("tour-text").text_content() or "").startswith(f"{step} of 4")
-            assert page.page.evaluate(pointed_at) == target
-            page.part("tour-next").click()
-        assert not page.part("tour").is_visible()
-        assert page.page.evaluate(pointed_at) == ""

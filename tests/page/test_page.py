@@ -138,7 +138,7 @@ def test_stop_ends_a_long_motion_and_is_acknowledged(page: OpenPage, server: Run
         page.part("stop").click()
     else:
         page.page.keyboard.press("Escape")
-    page.until_text("stop", "acknowledged")
+    page.until_acknowledged()
     page.until_text("state-pill", "STOPPED")
     page.until_state("s.arm.mode === 'holding'")
     page.shot("stopped")

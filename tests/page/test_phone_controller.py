@@ -1,8 +1,6 @@
 """A phone as a controller of the emulated arm: by its tilt and by WebXR."""
 
-import time
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 from playwright.sync_api import Browser
@@ -10,11 +8,11 @@ from playwright.sync_api import Browser
 from harness.clients import tip
 from harness.page import PHONE, SHARED, OpenPage, at_ready, opened
 from harness.server import RunningServer
+from tests.helpers.arm_record import ArmRecord, hold_until
+from tests.page.test_drive import LISTEN, is_zero, last_is_zero
 
 # The emulated servos' reading jitters by less.
 MOVED_M = 0.01
-STILL_RAD_S = 0.02
-MOVES_WITHIN_S = 180.0
 
 # A phone whose pose the tests hold in window.phone: its sensors tell it all the time, or WebXR once a frame.
 SENSORS = """
@@ -59,22 +57,8 @@ Object.defineProperty(navigator, "xr", { value: {
 } });
 """
 
-# Commands of the page, as they leave it.
-LISTEN = """
-window.sent = [];
-const send = WebSocket.prototype.send;
-WebSocket.prototype.send = function (data) {
-    send.call(this, data);
-    const message = typeof data === "string" ? JSON.parse(data) : {};
-    if (message.op === "publish" && message.topic === "/servo_node/delta_twist_cmds") {
-        window.sent.push({ at_ms: performance.now(), twist: message.msg.twist });
-    }
-};
-for (const type of ["pointerup", "blur"]) {
-    window.addEventListener(type, () => (window.let_go_ms = performance.now()), { capture: true });
-}
-"""
-
+# How the phone is held before it moves.
+UPRIGHT = "Object.assign(phone, { beta: 40, gamma: 0, height_m: 0 })"
 
 SETTINGS = SHARED
 
@@ -89,10 +73,12 @@ def phone(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
 
 
 @pytest.fixture
-def page(phone: OpenPage, server: RunningServer) -> OpenPage:
+def page(phone: OpenPage, record: ArmRecord, server: RunningServer) -> OpenPage:
     """The phone's page with the arm in a pose from which it can be driven everywhere."""
     at_ready(phone, server.url)
-    phone.page.evaluate("Object.assign(phone, { beta: 40, gamma: 0, height_m: 0 }); tracked = true; sent.length = 0")
+    # The arm settles for a moment after its goal.
+    record.until_rest()
+    phone.page.evaluate(f"{UPRIGHT}; tracked = true; sent.length = 0")
     return phone
 
 
@@ -108,39 +94,31 @@ def hold_clutch(page: OpenPage) -> None:
 
 def drive(page: OpenPage, server: RunningServer, axis: int, move: Callable[[], None]) -> float:
     """Hold the clutch and move the phone until the tip has moved on the server's side; return its way [m]."""
-    # The arm settles for a moment after its goal.
-    until_still(page, server)
     first = tip(server.url)[axis]
-    until_s = time.monotonic() + MOVES_WITHIN_S
-    while True:
+    ways_m = [0.0]
+
+    def moved() -> bool:
+        ways_m.append(tip(server.url)[axis] - first)
+        return abs(ways_m[-1]) > MOVED_M
+
+    def press() -> None:
         hold_clutch(page)
         move()
-        # A page that stood still for 0.08 s has begun the grip again, from the tilt that the phone has by then.
-        for _ in range(20):
-            page.page.wait_for_timeout(50)
-            if abs(way := tip(server.url)[axis] - first) > MOVED_M:
-                return way
-        assert time.monotonic() < until_s, page.describe()
+
+    def let_go() -> None:
         page.page.mouse.up()
         # A phone that comes back while the clutch is held takes the tip the other way.
-        page.page.evaluate("clearInterval(window.falling); Object.assign(phone, { beta: 40, gamma: 0, height_m: 0 })")
-        page.page.wait_for_timeout(400)
+        page.page.evaluate(f"clearInterval(window.falling); {UPRIGHT}")
 
-
-def until_still(page: OpenPage, server: RunningServer) -> None:
-    page.until_state(f"s.joints.velocity.every((speed) => Math.abs(speed) < {STILL_RAD_S})")
-    at = tip(server.url)
-    page.page.wait_for_timeout(300)
-    assert tip(server.url) == pytest.approx(at, abs=0.003), "the arm goes on moving"
+    hold_until(moved, press, let_go)
+    return ways_m[-1]
 
 
 def assert_halted(page: OpenPage) -> None:
-    """The last command is a halt, sent within 100 ms of the release, and none follows."""
-    last: dict[str, Any] = page.page.evaluate("window.sent.at(-1)")
-    assert not any(value for part in last["twist"].values() for value in part.values())
-    assert last["at_ms"] - page.page.evaluate("window.let_go_ms") < 100.0
-    page.page.wait_for_timeout(200)
-    assert page.page.evaluate("window.sent.at(-1).at_ms") == last["at_ms"]
+    """The last command is a halt, and no other command follows the release."""
+    assert last_is_zero(page)
+    page.pause(200)
+    assert all(map(is_zero, page.page.evaluate("sent.slice(let_go)")))
 
 
 def started_by_tilt(page: OpenPage) -> None:
@@ -156,44 +134,48 @@ def test_without_sensors_the_page_says_so(page: OpenPage) -> None:
     assert page.part("phone-clutch").is_hidden()
 
 
-def test_tilting_moves_the_tip_while_the_clutch_is_held(page: OpenPage, server: RunningServer) -> None:
+def test_tilting_moves_the_tip_while_the_clutch_is_held(
+    page: OpenPage, record: ArmRecord, server: RunningServer
+) -> None:
     started_by_tilt(page)
     page.page.evaluate("phone.gamma = -30")
-    page.page.wait_for_timeout(200)
+    page.pause(200)
     assert page.page.evaluate("sent.length") == 0, "nothing moves while the clutch is open"
     page.page.evaluate("phone.gamma = 0")
-    page.page.wait_for_timeout(100)
+    page.pause(100)
     way_m = drive(page, server, 1, lambda: page.page.evaluate("phone.gamma = -30"))
     assert way_m > 0, "to the left is +y"
     page.page.mouse.up()
     assert_halted(page)
-    until_still(page, server)
+    record.until_rest()
 
 
-def test_sensors_that_fall_silent_stop_the_arm(page: OpenPage, server: RunningServer) -> None:
+def test_sensors_that_fall_silent_stop_the_arm(page: OpenPage, record: ArmRecord, server: RunningServer) -> None:
     started_by_tilt(page)
     drive(page, server, 1, lambda: page.page.evaluate("phone.gamma = 30"))
     page.page.evaluate("window.sensors = false")
     page.until("!Object.values(sent.at(-1).twist.linear).some(Boolean)")
-    until_still(page, server)
+    record.until_rest()
     page.page.mouse.up()
 
 
-def test_who_looks_elsewhere_lets_go(page: OpenPage, server: RunningServer) -> None:
+def test_who_looks_elsewhere_lets_go(page: OpenPage, record: ArmRecord, server: RunningServer) -> None:
     started_by_tilt(page)
     drive(page, server, 1, lambda: page.page.evaluate("phone.gamma = -30"))
     page.page.evaluate("window.dispatchEvent(new Event('blur'))")
     assert_halted(page)
-    until_still(page, server)
+    record.until_rest()
     page.page.mouse.up()
 
 
-def test_tracked_by_webxr_the_tip_goes_the_way_of_the_phone(page: OpenPage, server: RunningServer) -> None:
+def test_tracked_by_webxr_the_tip_goes_the_way_of_the_phone(
+    page: OpenPage, record: ArmRecord, server: RunningServer
+) -> None:
     page.part("phone-track").click()
     page.until("document.querySelector('[data-testid=phone-controller]').dataset.tracks === 'true'")
     assert page.page.evaluate("window.overlay === document.body"), "STOP stays in sight"
     page.part("phone-scale").fill("3")
-    page.page.wait_for_timeout(100)
+    page.pause(100)
     fall = "window.falling = setInterval(() => { if (phone.height_m > -0.06) phone.height_m -= 0.001; }, 20)"
     way_m = drive(page, server, 2, lambda: page.page.evaluate(fall))
     assert way_m < 0, "the phone was lowered"
@@ -201,7 +183,7 @@ def test_tracked_by_webxr_the_tip_goes_the_way_of_the_phone(page: OpenPage, serv
     page.until("!Object.values(sent.at(-1).twist.linear).some(Boolean)")
     page.page.mouse.up()
     assert_halted(page)
-    until_still(page, server)
+    record.until_rest()
     page.page.evaluate("clearInterval(window.falling); session.end()")
     page.until("document.querySelector('[data-testid=phone-controller]').dataset.started === 'false'")
 

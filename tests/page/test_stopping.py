@@ -9,55 +9,45 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+import psutil
 import pytest
 from playwright.sync_api import Browser
 from websockets.exceptions import ConnectionClosed
 from websockets.sync import client as blocking
 
-from harness.clients import call, publish, values_of
+from harness.clients import SPEED_FACTOR, call, publish, values_of
 from harness.page import PHONE, SHARED, Fingers, OpenPage, at_ready, opened
 from harness.server import RunningServer
-from harness.waiting import join
-from tests.helpers.arm_record import MOVED_RAD, ArmRecord, arm_record
-from tests.page.test_drive import GAMEPAD
+from harness.waiting import TIMEOUT_S, join, wait_until
+from tests.helpers.arm_record import ArmRecord
+from tests.page.test_drive import GAMEPAD, drive
 
 SETTINGS = SHARED
-
-# The arm is at rest 0.33 s after a stop on a quiet machine.
-BRAKES_WITHIN_S = 1.0
-WATCHED_S = 1.5
 
 COMMANDED = "/arm_controller/controller_state"
 STILL_MESSAGES = 10
 
-# Presses of a button until the arm moves: on a busy machine the servo loop may end a press.
-PRESSES = 20
+# Without setpoints the arm has come to rest by itself after 0.2 s.
+TICKS_TO_REST = 100
 
 
 @pytest.fixture(scope="module")
-def record(server: RunningServer) -> Iterator[ArmRecord]:
-    with arm_record(server.url) as kept:
-        yield kept
-
-
-@pytest.fixture(scope="module")
-def phone(browser: Browser) -> Iterator[OpenPage]:
+def phone(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
     with opened(browser, PHONE, own=True, has_touch=True, is_mobile=True) as open_page:
         open_page.page.add_init_script(GAMEPAD)
+        open_page.open(server.port)
         yield open_page
+        assert open_page.errors == []
 
 
 @pytest.fixture
-def page(phone: OpenPage, server: RunningServer) -> Iterator[OpenPage]:
+def page(phone: OpenPage, server: RunningServer) -> OpenPage:
     """A phone that shows Drive, with the arm in a pose from which it can be driven everywhere."""
-    phone.open(server.port)
     phone.open_panel("drive")
     phone.until("document.querySelectorAll('.jog-row').length > 5")
     at_ready(phone, server.url)
     phone.part("jog-wrist_flex-plus").scroll_into_view_if_needed()
-    yield phone
-    assert phone.errors == []
-    phone.leave()
+    return phone
 
 
 @pytest.fixture
@@ -67,32 +57,17 @@ def fingers(page: OpenPage) -> Iterator[Fingers]:
     touching.lift_all()
 
 
-def move(record: ArmRecord, press: Callable[[], None], let_go: Callable[[], None]) -> None:
-    """Press an input, and keep it pressed once the arm moves."""
-    for _ in range(PRESSES):
-        began_s = time.monotonic()
-        press()
-        while time.monotonic() < began_s + 1.0:
-            time.sleep(0.02)
-            if record.way_rad(began_s) > MOVED_RAD:
-                return
-        let_go()
-        time.sleep(0.4)
-    pytest.fail("the arm does not move")
-
-
 def test_stop_works_while_another_finger_holds_a_button(page: OpenPage, fingers: Fingers, record: ArmRecord) -> None:
-    move(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
+    drive(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
     fingers.press(2, "stop")
-    time.sleep(BRAKES_WITHIN_S)
-    assert record.stands(WATCHED_S)
+    record.until_rest()
     page.until_state("s.stop.phase !== 'asked'")
     fingers.lift(2)
     # No other button moves the arm before the first is let go.
     fingers.press(2, "jog-wrist_roll-plus")
-    assert record.stands(WATCHED_S)
+    record.until_rest()
     fingers.lift_all()
-    move(record, lambda: fingers.press(1, "jog-wrist_flex-plus"), lambda: fingers.lift(1))
+    drive(record, lambda: fingers.press(1, "jog-wrist_flex-plus"), lambda: fingers.lift(1))
     fingers.lift(1)
 
 
@@ -100,14 +75,13 @@ def test_stop_works_while_another_finger_holds_a_button(page: OpenPage, fingers:
 def test_a_page_that_stood_still_moves_nothing_after_the_stop_of_another(
     page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer, stop: str
 ) -> None:
-    move(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
+    drive(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
     last_stop = page.state("arm.last_stop")
     stopping = threading.Timer(0.5, stop_from_elsewhere, (server.url, stop))
     stopping.start()
     page.page.evaluate("(() => { const end = performance.now() + 1500; while (performance.now() < end); })()")
     join(stopping)
-    time.sleep(0.2)
-    assert record.stands(WATCHED_S)
+    record.until_rest()
     page.until_state(f"s.arm.last_stop !== '{last_stop}'")
 
 
@@ -121,19 +95,18 @@ def test_a_held_stick_moves_nothing_after_a_stop_until_its_button_was_let_go(
     hold, let_go = (functools.partial(page.page.evaluate, f"holdPad([1, 0, 0, 0], {held})") for held in ("[4]", "[]"))
     let_go()
     page.until_text("gamepad-state", "hold a shoulder")
-    move(record, hold, let_go)
+    drive(record, hold, let_go)
     last_stop = page.state("arm.last_stop")
     if stop == "page":
         fingers.press(1, "stop")
     else:
         stop_from_elsewhere(server.url, stop)
     page.until_state(f"s.arm.last_stop !== '{last_stop}'")
-    time.sleep(BRAKES_WITHIN_S)
-    assert record.stands(WATCHED_S)
+    record.until_rest()
     let_go()
     page.until_text("gamepad-state", "hold a shoulder")
-    assert record.stands(WATCHED_S)
-    move(record, hold, let_go)
+    record.until_rest()
+    drive(record, hold, let_go)
     let_go()
 
 
@@ -147,7 +120,7 @@ def test_letting_go_of_a_button_of_the_tip_is_no_slower_than_a_stop(
     for end, heard_on in ((let_go, "/servo_node/delta_twist_cmds"), (stop, "/stop")) * 3:
         at_ready(page, server.url)
         with heard(server.url, COMMANDED, heard_on) as messages:
-            move(record, lambda: fingers.press(1, "jog-z-minus"), let_go)
+            drive(record, lambda: fingers.press(1, "jog-z-minus"), let_go)
             end()
             page.wait(functools.partial(rests, messages))
         ways_rad[end].append(way_after_end_rad(messages))
@@ -160,16 +133,22 @@ def test_a_button_that_is_let_go_while_the_server_stands_moves_nothing_when_it_g
 ) -> None:
     page.part("jog-z-minus").scroll_into_view_if_needed()
     with heard(server.url, COMMANDED, "/servo_node/delta_twist_cmds") as messages:
-        move(record, lambda: fingers.press(1, "jog-z-minus"), lambda: fingers.lift(1))
+        drive(record, lambda: fingers.press(1, "jog-z-minus"), lambda: fingers.lift(1))
         server.process.send_signal(signal.SIGSTOP)
-        time.sleep(1.0)
-        # By now the arm has come to rest by itself.
+        until_ticked(server, TICKS_TO_REST)
         fingers.lift(1)
         let_go_s = time.time()
         server.process.send_signal(signal.SIGCONT)
         page.wait(functools.partial(rests, messages))
     after_rad = commanded_rad(messages, since_s=let_go_s)
     assert after_rad == [pytest.approx(after_rad[0], abs=1e-3)] * len(after_rad)
+
+
+def until_ticked(server: RunningServer, ticks: int) -> None:
+    """Wait until the arm's process, which sleeps after each tick, has had time for some."""
+    (arm,) = (each for each in psutil.Process(server.process.pid).children() if "robot.control.loop" in each.cmdline())
+    first = arm.num_ctx_switches().voluntary
+    wait_until(lambda: arm.num_ctx_switches().voluntary > first + ticks)
 
 
 Heard = list[tuple[str, dict[str, Any]]]
@@ -238,20 +217,18 @@ def test_the_gripper_stays_where_another_has_stopped_it(
     page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer
 ) -> None:
     page.part("jog-gripper-plus").scroll_into_view_if_needed()
-    move(record, lambda: fingers.press(1, "jog-gripper-plus"), lambda: fingers.lift(1))
+    drive(record, lambda: fingers.press(1, "jog-gripper-plus"), lambda: fingers.lift(1))
     stop_from_elsewhere(server.url, "service")
-    time.sleep(BRAKES_WITHIN_S)
-    assert record.stands(WATCHED_S)
+    record.until_rest()
 
 
 def test_a_button_does_not_outlive_its_element(
     page: OpenPage, fingers: Fingers, record: ArmRecord, server: RunningServer
 ) -> None:
-    move(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
+    drive(record, lambda: fingers.press(1, "jog-wrist_flex-minus"), lambda: fingers.lift(1))
     choose_group(page, server, "gripper")
     fingers.lift(1)
-    time.sleep(BRAKES_WITHIN_S)
-    assert record.stands(WATCHED_S)
+    record.until_rest()
     choose_group(page, server, "arm")
 
 
@@ -267,7 +244,7 @@ def test_a_press_of_a_quarter_of_a_second_cancels_a_goal(
     with blocking.connect(server.url) as websocket:
         # Slow, so that statuses come all the while.
         for topic, type_name, msg in (
-            ("/arm/speed_factor", "std_msgs/Float64", {"data": 0.1}),
+            (*SPEED_FACTOR, {"data": 0.02}),
             ("/moveit_goal_named", "std_msgs/String", {"data": "home"}),
             ("/moveit_goal_named", "std_msgs/String", {"data": "ready"}),
         ):
@@ -288,7 +265,7 @@ def test_a_press_of_a_quarter_of_a_second_cancels_a_goal(
 def cancelled(websocket: blocking.ClientConnection, goal_id: str) -> bool:
     """Wait for the answer of a goal; return true if it was cancelled."""
     while True:
-        status = json.loads(websocket.recv(timeout=10.0))["msg"]
+        status = json.loads(websocket.recv(timeout=TIMEOUT_S))["msg"]
         values = values_of(status)
         if status["hardware_id"] == goal_id and values["state"] == "done":
             return values["code"] == "-7"

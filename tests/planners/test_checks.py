@@ -137,14 +137,7 @@ def test_senseless_requests_are_refused_with_names_and_values_and_sound_ones_pas
         assert_refused(refused(robot, problem, **changes), code, said)
 
 
-def test_moving_start_may_be_as_fast_as_the_scaled_limit(robot, problem):
-    limit = robot.joints["elbow_flex"].max_velocity
-    half = {"start_velocity_rad_s": {"elbow_flex": -0.5 * limit}}
-    assert refused(robot, problem, velocity_scaling=0.5, **half) is None
-    assert refused(robot, problem, velocity_scaling=0.4, **half).details["limit_rad_s"] == pytest.approx(0.4 * limit)
-
-
-def test_start_needs_a_finite_position_for_every_joint_a_little_beyond_its_limits_at_most(robot, at_home):
+def test_a_start_may_be_a_little_beyond_limits_in_shallow_contact_and_as_fast_as_scaled(robot, at_home, problem):
     lower = robot.joints["wrist_flex"].lower
     within, beyond = (at_home | {"wrist_flex": lower - share * START_LIMIT_TOLERANCE_RAD} for share in (0.9, 1.1))
     assert refusal(checks.check_start, robot, within) is None
@@ -156,9 +149,6 @@ def test_start_needs_a_finite_position_for_every_joint_a_little_beyond_its_limit
         failure = refusal(checks.check_start, robot, start_rad)
         assert_refused(failure, INVALID_START, ["'gripper'"])
         assert "limits" not in failure.message
-
-
-def test_shallow_contact_at_the_start_is_let_go_and_a_deep_one_is_not():
     shallow = CollidingPair("base_link", "wrist_link", 0.9 * START_CONTACT_DEPTH_M)
     deep = CollidingPair("shoulder_link", "wrist_link", 1.1 * START_CONTACT_DEPTH_M)
     assert refusal(checks.check_start_contact, []) is None
@@ -167,6 +157,10 @@ def test_shallow_contact_at_the_start_is_let_go_and_a_deep_one_is_not():
     words = ["shoulder_link and wrist_link by 11.0 mm"]
     assert_refused(failure, MoveItErrorCode.START_STATE_IN_COLLISION, words)
     assert len(failure.details["pairs"]) == 2
+    limit = robot.joints["elbow_flex"].max_velocity
+    half = {"start_velocity_rad_s": {"elbow_flex": -0.5 * limit}}
+    assert refused(robot, problem, velocity_scaling=0.5, **half) is None
+    assert refused(robot, problem, velocity_scaling=0.4, **half).details["limit_rad_s"] == pytest.approx(0.4 * limit)
 
 
 def test_senseless_questions_for_configurations_and_about_states_are_refused_and_bad_states_are_not(robot, at_home):
@@ -197,7 +191,7 @@ def orientation(**changes):
     return Constraints(orientations=(replace(ORIENTATION, **changes),))
 
 
-def test_senseless_goals_are_refused_with_names_and_values(robot, arm):
+def test_senseless_goals_and_unknown_links_are_refused_with_names_and_values(robot, arm):
     for goal, said in (
         (JointGoal({"elbow": 0.5}), ["'elbow'", "elbow_flex"]),
         (JointGoal({"gripper": 0.5}), ["'gripper'", "'arm'"]),
@@ -223,15 +217,19 @@ def test_senseless_goals_are_refused_with_names_and_values(robot, arm):
         (AnyOf((POINT, JointGoal({"elbow_flex": NAN}))), ["elbow_flex"]),
     ):
         assert_refused(refusal(checks.check_goal, robot, arm, goal), INVALID, said)
-
-
-def test_unknown_links_are_refused_with_the_known_ones(robot, arm):
     constrained = ConstraintGoal(region(link="hand")), ConstraintGoal(orientation(link="hand"))
     for goal in (replace(POINT, link="hand"), replace(AXIS, link=""), replace(POSE, link="hand"), *constrained):
         failure = refusal(checks.check_goal, robot, arm, goal)
         assert_refused(failure, NO_LINK, [TIP])
         # A group whose joints are not one chain has no tip.
         assert ("not one chain" in failure.message) == (not failure.details["link"])
+    # A joint may exceed its limit by rounding only.
+    joint = robot.joints["elbow_flex"]
+    near, far = (JointGoal({"elbow_flex": joint.upper + more}, tolerance_rad=0.01) for more in (0.009, 0.011))
+    assert refusal(checks.check_goal, robot, arm, near) is None
+    limits = {"lower_rad": joint.lower, "upper_rad": joint.upper}
+    failure = refusal(checks.check_goal, robot, arm, far)
+    assert failure.details == {"joint": "elbow_flex", "position_rad": joint.upper + 0.011, **limits}
 
 
 def test_senseless_constraints_are_refused_with_names_and_values(robot):
@@ -253,12 +251,3 @@ def test_senseless_constraints_are_refused_with_names_and_values(robot):
         (orientation(weight=NAN), ["weight", "nan"]),
     ):
         assert_refused(refusal(checks.check_constraints, robot, constraints), INVALID, said)
-
-
-def test_joint_goal_may_exceed_a_limit_by_rounding_only(robot, arm):
-    joint = robot.joints["elbow_flex"]
-    near, far = (JointGoal({"elbow_flex": joint.upper + more}, tolerance_rad=0.01) for more in (0.009, 0.011))
-    assert refusal(checks.check_goal, robot, arm, near) is None
-    limits = {"lower_rad": joint.lower, "upper_rad": joint.upper}
-    failure = refusal(checks.check_goal, robot, arm, far)
-    assert failure.details == {"joint": "elbow_flex", "position_rad": joint.upper + 0.011, **limits}

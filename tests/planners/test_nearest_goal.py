@@ -80,14 +80,6 @@ def test_a_goal_in_contact_becomes_one_of_its_kind_that_can_be_planned(beside_a_
     assert_planned(beside_a_wall, problem, goal)
 
 
-def test_a_place_out_of_reach_becomes_the_nearest_that_a_motion_reaches(setting):
-    asked = PositionGoal(TIP, (0.6, 0.0, 0.2), 0.01)
-    goal, failure = nearest(setting, setting.problem(asked), MoveItErrorCode.NO_IK_SOLUTION)
-    away_m = np.linalg.norm(np.array(goal.position_m) - asked.position_m)
-    assert away_m == pytest.approx(failure.details["distance_m"], abs=0.02)
-    assert_planned(setting, setting.problem(asked), goal)
-
-
 BEHIND_THE_PLATE = {"shoulder_pan": -1.85}
 
 
@@ -100,9 +92,7 @@ BEHIND_THE_PLATE = {"shoulder_pan": -1.85}
         ({"shoulder_pan": -1.4}, False, IN_CONTACT),
     ],
 )
-def test_a_joint_goal_to_which_no_motion_leads_becomes_the_nearest_that_one_reaches(
-    beside_a_plate, changed, whole, code
-):
+def test_a_joint_goal_to_which_no_motion_leads_becomes_the_nearest_reached(beside_a_plate, changed, whole, code):
     asked = JointGoal((dict.fromkeys(beside_a_plate.joints, 0.0) if whole else {}) | changed)
     problem = beside_a_plate.problem(asked, beside_a_plate.home(shoulder_pan=0.8), allowed_time_s=0.2)
     goal, _ = nearest(beside_a_plate, problem, code)
@@ -136,7 +126,12 @@ def test_a_joint_goal_that_violates_the_constraints_becomes_the_nearest_that_kee
     assert sum(abs(at - asked.positions_rad[name]) for name, at in goal.positions_rad.items()) < 0.9 + 0.5
 
 
-def test_a_joint_goal_beyond_the_limits_becomes_one_within_them(setting):
+def test_a_place_out_of_reach_or_beyond_the_limits_becomes_the_nearest_that_a_motion_reaches(setting):
+    asked = PositionGoal(TIP, (0.6, 0.0, 0.2), 0.01)
+    goal, failure = nearest(setting, setting.problem(asked), MoveItErrorCode.NO_IK_SOLUTION)
+    away_m = np.linalg.norm(np.array(goal.position_m) - asked.position_m)
+    assert away_m == pytest.approx(failure.details["distance_m"], abs=0.02)
+    assert_planned(setting, setting.problem(asked), goal)
     upper_rad = setting.robot.joints["shoulder_pan"].upper
     problem = setting.problem(JointGoal({"shoulder_pan": upper_rad + 0.4, "elbow_flex": 0.3}))
     goal, _ = nearest(setting, problem, MoveItErrorCode.INVALID_GOAL_CONSTRAINTS)
@@ -144,7 +139,7 @@ def test_a_joint_goal_beyond_the_limits_becomes_one_within_them(setting):
     assert_planned(setting, problem, goal)
 
 
-def test_for_a_goal_that_cannot_be_read_or_is_of_another_kind_and_without_time_there_is_none(beside_a_wall):
+def test_for_a_goal_that_cannot_be_read_or_of_another_kind_or_without_time_there_is_none(beside_a_wall):
     setting, in_contact = beside_a_wall, JointGoal({"shoulder_pan": -1.2})
     for asked in (
         JointGoal({"shoulder_pan": NAN}),
@@ -155,14 +150,11 @@ def test_for_a_goal_that_cannot_be_read_or_is_of_another_kind_and_without_time_t
         AxisGoal(TIP, (0.25, 0.25, 0.2), 0.01, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.05),
     ):
         assert nearest(setting, setting.problem(asked))[0] is None, asked
-    assert nearest(setting, setting.problem(in_contact), allowed_time_s=1e-9)[0] is None
+    problem = setting.problem(in_contact)
+    assert nearest(setting, problem, allowed_time_s=1e-9)[0] is None
+    for code in (IN_CONTACT, TIMED_OUT):
+        answer = setting.planner.answer(NearestGoalQuestion(problem, 5.0, code), lambda: True)
+        assert answer == NearestGoalAnswer(None) or answer.code is MoveItErrorCode.PREEMPTED
     # A goal is not offered where planning it would take longer than the problem allows.
     short = setting.problem(JointGoal({"shoulder_pan": 0.5}), allowed_time_s=1e-9)
     assert nearest(setting, short, TIMED_OUT)[0] is None
-
-
-def test_a_question_that_is_cancelled_ends(beside_a_wall):
-    problem = beside_a_wall.problem(JointGoal({"shoulder_pan": -1.2}))
-    for code in (IN_CONTACT, TIMED_OUT):
-        answer = beside_a_wall.planner.answer(NearestGoalQuestion(problem, 5.0, code), lambda: True)
-        assert answer == NearestGoalAnswer(None) or answer.code is MoveItErrorCode.PREEMPTED

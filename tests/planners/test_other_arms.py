@@ -128,7 +128,7 @@ def test_both_kinematics_place_the_links_alike_and_the_jacobian_counts_what_foll
             np.testing.assert_allclose(PALLETIZER_FORWARD.jacobian(q, link)[:3], slopes, atol=1e-8)
 
 
-def test_no_point_travels_further_than_is_said(collision):
+def test_no_point_travels_further_than_is_said_and_fingers_that_close_are_said_to_come_nearer(collision):
     step_rad = 1e-4
     for q in STATES:
         for column, step in enumerate(step_rad * np.eye(len(NAMES))):
@@ -136,28 +136,22 @@ def test_no_point_travels_further_than_is_said(collision):
                 start_m, end_m = PALLETIZER_FORWARD.placements([q, q + step], link).positions_m
                 most_m = collision.travel_m_per_rad[column] * step_rad * (1.0 + 1e-6)
                 assert np.linalg.norm(end_m - start_m) <= most_m
-
-
-def test_fingers_that_close_on_each_other_touch_and_are_said_to_come_nearer(collision):
     apart, way = np.zeros(3), 0.6 * (np.array(collision.joint_names) == "grip")
     assert frozenset(("left", "right")) in {pair.links for pair in collision.colliding_pairs(apart - way)}
     assert not collision.in_collision(apart)
     assert collision.near(apart, collision.approach_m_per_rad @ way)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_position_goals_of_a_wrist_that_follows_are_reached(palletizer_planner, seed):
-    rng = np.random.default_rng(seed)
-    wanted_m = place_m(np.array([rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 0.1), 0.0]), "wrist")
-    goal = PositionGoal("wrist", tuple(wanted_m.tolist()), 0.001)
-    plan = palletizer_planner.plan(PlanningProblem("arm", dict.fromkeys(NAMES, 0.0), goal))
-    assert isinstance(plan, Plan), plan
-    ends = dict(zip(plan.trajectory.joint_names, plan.trajectory.positions_rad[-1].tolist(), strict=True))
-    reached_m = place_m(np.array([ends.get(name, 0.0) for name in NAMES]), "wrist")
-    assert np.linalg.norm(reached_m - wanted_m) <= 0.001
-
-
-def test_a_finger_that_follows_touches_what_is_in_its_way(palletizer_planner, put):
+def test_a_wrist_that_follows_reaches_goals_and_a_finger_touches_what_is_in_its_way(palletizer_planner, put):
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        wanted_m = place_m(np.array([rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 0.1), 0.0]), "wrist")
+        goal = PositionGoal("wrist", tuple(wanted_m.tolist()), 0.001)
+        plan = palletizer_planner.plan(PlanningProblem("arm", dict.fromkeys(NAMES, 0.0), goal))
+        assert isinstance(plan, Plan), plan
+        ends = dict(zip(plan.trajectory.joint_names, plan.trajectory.positions_rad[-1].tolist(), strict=True))
+        reached_m = place_m(np.array([ends.get(name, 0.0) for name in NAMES]), "wrist")
+        assert np.linalg.norm(reached_m - wanted_m) <= 0.001
     grip = PlanningProblem("hand", dict.fromkeys(NAMES, 0.0), JointGoal({"grip": 1.0}))
     assert isinstance(palletizer_planner.plan(grip), Plan)
     put(palletizer_planner, thing(Box((0.02, 0.02, 0.2)), 0.47, -0.055, 0.12))
@@ -210,9 +204,7 @@ def test_questions_about_the_other_arm_are_answered(pair_planner: Planner) -> No
     assert followed.fraction > 0.9
 
 
-def test_the_arm_that_sags_does_not_move_out_of_a_deep_contact_which_a_question_about_its_state_names(
-    pair_planner,
-) -> None:
+def test_the_arm_that_sags_does_not_move_out_of_a_deep_contact_nor_the_other_into_one(pair_planner) -> None:
     for group in ("right_arm", "both_arms"):
         goal_rad = dict.fromkeys(PAIR.groups[group].joints, 0.1)
         found = pair_planner.answer(PlanningProblem(group, PAIR_START_RAD, JointGoal(goal_rad)))
@@ -220,9 +212,6 @@ def test_the_arm_that_sags_does_not_move_out_of_a_deep_contact_which_a_question_
     state = pair_planner.answer(StateQuestion("left_arm", PAIR_START_RAD))
     assert not state.valid
     assert "right_base_link and right_wrist_link by 51" in state.problems[0].message
-
-
-def test_a_goal_in_which_the_other_arm_would_touch_itself_is_refused(pair_planner: Planner) -> None:
     goal_rad = GOAL_RAD | {f"left_{name}": value for name, value in SAGGING.items()}
     found = pair_planner.answer(PlanningProblem("left_arm", PAIR_START_RAD, JointGoal(goal_rad)))
     assert found.code is Code.GOAL_IN_COLLISION

@@ -63,7 +63,10 @@ async def under_way(server: SharedPlanners, farm: Farm) -> asyncio.Task[Answer]:
     return asking
 
 
-async def test_both_servers_get_answers_and_know_the_processes_behind_them(servers: Servers) -> None:
+async def test_both_servers_get_answers_in_a_bounded_time_and_know_the_processes_behind_them(servers: Servers) -> None:
+    hour = dataclasses.replace(EASY, allowed_time_s=3600.0)
+    assert bounded(hour) == dataclasses.replace(EASY, allowed_time_s=LONGEST_PLANNING_S)
+    assert bounded(EASY) == EASY
     for each in servers:
         assert await each.wait_until_loaded() is None
         assert isinstance(await each.ask(EASY), Plan)
@@ -88,14 +91,6 @@ async def test_a_server_with_many_goals_leaves_every_other_turn_to_one_with_a_si
     assert all(isinstance(answer, Plan) for answer in await asyncio.gather(*many))
 
 
-async def test_a_cancelled_request_gives_its_planner_to_the_next_server(
-    servers: Servers, farm: Farm, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(shared_pool, "LONGEST_PLANNING_S", 3600.0)
-    await given_up(await under_way(servers[0], farm))
-    assert isinstance(await asyncio.wait_for(servers[1].ask(EASY), TIMEOUT_S), Plan)
-
-
 async def test_a_scene_given_up_half_way_is_not_mixed_with_the_one_before(servers: Servers) -> None:
     mesh = Mesh(np.zeros((PART_BYTES // 24, 3)), np.zeros((0, 3), dtype=np.int32))
     large = Scene(2, tuple(SceneObject(str(i), ((mesh, Pose()),)) for i in range(4)))
@@ -107,11 +102,16 @@ async def test_a_scene_given_up_half_way_is_not_mixed_with_the_one_before(server
     assert await servers[0].ask(STATE, large) == TOUCHING
 
 
-async def test_a_planner_that_dies_costs_one_server_one_goal(servers: Servers) -> None:
+async def test_a_planner_that_dies_costs_one_server_one_goal_and_a_cancelled_request_gives_its_planner_to_the_next(
+    servers: Servers, farm: Farm, monkeypatch: pytest.MonkeyPatch
+) -> None:
     crash = dataclasses.replace(EASY, group=CRASHES)
     failed, done = await asyncio.gather(servers[0].ask(crash), servers[1].ask(STATE))
     assert (failed.code, done) == (MoveItErrorCode.CRASH, SOUND)
     assert isinstance(await servers[0].ask(EASY), Plan)
+    monkeypatch.setattr(shared_pool, "LONGEST_PLANNING_S", 3600.0)
+    await given_up(await under_way(servers[0], farm))
+    assert isinstance(await asyncio.wait_for(servers[1].ask(EASY), TIMEOUT_S), Plan)
 
 
 async def test_a_request_that_fails_at_the_host_or_is_too_large_for_a_message_or_finds_no_answer_is_refused(
@@ -140,15 +140,7 @@ async def test_a_robot_that_the_host_cannot_load_is_told(farm: Farm, address: Pa
         await server.close()
 
 
-async def test_nobody_plans_longer_than_others_can_wait_for() -> None:
-    hour = dataclasses.replace(EASY, allowed_time_s=3600.0)
-    assert bounded(hour) == dataclasses.replace(EASY, allowed_time_s=LONGEST_PLANNING_S)
-    assert bounded(EASY) == EASY
-
-
-async def test_a_host_that_ends_answers_what_is_under_way_and_another_takes_its_place(
-    farm: Farm, address: Path
-) -> None:
+async def test_a_host_that_ends_answers_requests_and_another_takes_over(farm: Farm, address: Path) -> None:
     server = SharedPlanners(address)
     await server.start()
     async with running_host(address):

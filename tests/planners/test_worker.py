@@ -154,7 +154,7 @@ def test_a_scene_that_is_refused_is_the_answer_to_every_request_in_it(server: Se
         assert "ZeroDivisionError" in answered.answer.message
 
 
-def test_a_bug_in_one_request_is_a_crash_and_the_next_is_answered(server: Server, planning: Planning) -> None:
+def test_a_bug_in_one_request_is_a_crash_and_lack_of_memory_the_end(server: Server, planning: Planning) -> None:
     planning.works = lambda request, _stop: SOUND if request == STATE else 1 / 0
     (failed,) = server.sends(Ask(1, EASY))
     assert failed.answer.code is Code.CRASH
@@ -162,13 +162,11 @@ def test_a_bug_in_one_request_is_a_crash_and_the_next_is_answered(server: Server
     assert not failed.ending
     assert server.sends(Ask(2, STATE)) == [Answered(2, SOUND)]
 
-
-def test_a_worker_that_runs_out_of_memory_says_so_and_ends(server: Server, planning: Planning) -> None:
     def eat(_request: Request, _stop: Callable[[], bool]) -> Answer:
         raise MemoryError
 
     planning.works = eat
-    server.channel.send(Ask(1, STATE))
+    server.channel.send(Ask(3, STATE))
     server.worker.run()
     (answered,) = server.channel.receive(timeout_s=0.0)
     assert answered.ending
@@ -240,15 +238,13 @@ TIPLESS = dataclasses.replace(PALLETIZER, tip_link="")
 
 
 @pytest.mark.parametrize("robot", [SEVEN, PALLETIZER, TIPLESS], ids=["seven joints", "mimics", "no tip"])
-def test_goals_and_a_path_are_planned_once_and_without_a_tip_a_joint_goal_alone(robot):
+def test_goals_and_a_path_are_planned_once_and_without_a_tip_a_joint_goal_alone(robot, monkeypatch):
     planner = Listening(robot)
     planner.warm_up()
     kinds = [PlanningProblem, PlanningProblem, CartesianProblem]
     assert [type(request) for request, _ in planner.asked] == (kinds if robot.tip_link else kinds[:1])
     assert isinstance(planner.asked[0][1], Plan)
     assert not robot.tip_link or isinstance(planner.asked[2][1], CartesianPlan)
-
-
-def test_a_bug_in_the_first_plans_leaves_the_planner_as_it_is(monkeypatch):
+    # A bug in these leaves the planner as it is.
     monkeypatch.setattr(Planner, "answer", lambda *_: 1 / 0)
-    assert isinstance(worker.warm_planner(PALLETIZER), Planner)
+    assert isinstance(worker.warm_planner(robot), Planner)

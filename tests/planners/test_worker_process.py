@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import pytest
@@ -68,6 +68,15 @@ class Worked:
         self.child: Any = self.worker._child
         self.hard_s: list[float] = []
 
+    async def started(self) -> Self:
+        """Load the robot."""
+        await self.worker.start()
+        assert self.sent == [messages.LoadRobot]
+        assert not self.worker.usable
+        self.child.receives(messages.Loaded())
+        assert self.worker.usable
+        return self
+
     async def asked(self, request: Request = STATE, scene: Scene = EMPTY_SCENE) -> asyncio.Task[Any]:
         """Ask; what this sends has been sent then."""
         asking = asyncio.create_task(self.worker.ask(request, scene, self.hard_s.append))
@@ -86,13 +95,7 @@ class Worked:
 async def worked(monkeypatch: pytest.MonkeyPatch) -> Worked:
     """A worker that has loaded its robot."""
     monkeypatch.setattr(pool, "Child", FakeChild)
-    made = Worked()
-    await made.worker.start()
-    assert made.sent == [messages.LoadRobot]
-    assert not made.worker.usable
-    made.child.receives(messages.Loaded())
-    assert made.worker.usable
-    return made
+    return await Worked().started()
 
 
 async def test_a_scene_given_up_half_way_is_sent_anew(worked: Worked) -> None:
@@ -119,25 +122,20 @@ async def test_a_request_too_large_for_a_message_is_refused_and_harms_nothing(wo
     assert await asking is SOUND
 
 
-@pytest.mark.parametrize(
-    ("answer", "words"), [(SOUND, "answered a PlanningProblem with StateAnswer"), ("yes", "with str")]
-)
-async def test_a_worker_that_answers_with_something_else_gets_no_further_request(
-    worked: Worked, answer: object, words: str
-) -> None:
-    asking = await worked.asked(EASY)
-    worked.child.answers(answer)
-    failure = await asking
-    assert failure.code is MoveItErrorCode.CRASH
-    assert words in failure.message
-    assert not worked.worker.usable
-
-
-async def test_a_worker_that_ends_over_a_request_says_how(worked: Worked) -> None:
-    asking = await worked.asked(EASY)
-    worked.child.exits()
-    assert (await asking).message == "the planner process ended (SIGSEGV) while it worked on this"
-    assert not worked.worker.usable
+async def test_a_worker_that_answers_nonsense_or_ends_gets_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pool, "Child", FakeChild)
+    for ends, words in (
+        (lambda child: child.answers(SOUND), "answered a PlanningProblem with StateAnswer"),
+        (lambda child: child.answers("yes"), "with str"),
+        (lambda child: child.exits(), "the planner process ended (SIGSEGV) while it worked on this"),
+    ):
+        worked = await Worked().started()
+        asking = await worked.asked(EASY)
+        ends(worked.child)
+        failure = await asking
+        assert failure.code is MoveItErrorCode.CRASH
+        assert words in failure.message
+        assert not worked.worker.usable
 
 
 async def test_what_comes_for_an_earlier_request_counts_for_none(worked: Worked) -> None:

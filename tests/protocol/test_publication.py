@@ -54,7 +54,7 @@ def test_on_the_wire_a_frame_is_a_whole_message_of_its_kind_also_in_pieces(lengt
         assert (read.opcode, read.data, read.fin) == (Opcode.TEXT if text else Opcode.BINARY, frame.data, True)
     parts = (b"a", b"x" * length, b"b")
     message, frame = EncodedMessage.text(*parts), Frame(b"".join(parts), text=True)
-    assert b"".join(message.wire) == frame.on_wire()
+    assert b"".join(message.wire) == b"".join(EncodedMessage(frame).wire)
     # A large message is not copied.
     assert length < LARGE_BYTES or message.wire[-2] is parts[1]
     assert message.frames == (frame,)

@@ -67,7 +67,7 @@ async def test_one_of_two_motions_is_stopped(rig: ArmOnServos) -> None:
     assert (await pan).outcome is Outcome.REACHED
 
 
-async def test_the_refusal_of_a_motion_does_not_wait_for_the_next_state_and_an_end_does() -> None:
+async def test_the_refusal_of_a_motion_does_not_wait_for_the_next_state_as_an_end_and_a_way_to_rest_do() -> None:
     arm: Any = FakeArm()
     loop = asyncio.get_running_loop()
     arm._motions, arm._held = {1: loop.create_future(), 2: loop.create_future()}, []
@@ -75,10 +75,6 @@ async def test_the_refusal_of_a_motion_does_not_wait_for_the_next_state_and_an_e
     for number, outcome in ((1, Outcome.REFUSED), (2, Outcome.STOPPED)):
         Arm._received(arm, MotionEnded(number, outcome, ""))
     assert [motion.done() for motion in arm._motions.values()] == [True, False]
-
-
-async def test_the_arm_process_s_own_way_to_the_rest_pose_is_waited_for() -> None:
-    arm: Any = FakeArm()
     arm._motions = {}
     arm.state = replace(arm.state, motions=(MotionProgress(NO_MOTION, 0.5, 1.0),))
     resting = asyncio.create_task(Arm.rest(arm, TIMEOUT_S))

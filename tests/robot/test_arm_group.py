@@ -16,7 +16,6 @@ from robot.messages import (
     CommandDone,
     Mode,
     MotionEnded,
-    MotionProgress,
     Order,
     Outcome,
 )
@@ -107,39 +106,32 @@ def test_the_mode_of_all_is_what_most_keeps_them_from_moving() -> None:
             assert joined_state(states).mode is both, modes
 
 
-def test_a_relaxed_leader_keeps_nobody_from_moving_and_one_with_a_fault_does() -> None:
-    states = {"leader": reading(LEFT, 1.0, Mode.RELAXED), "follower": reading(RIGHT, 2.0)}
-    assert joined_state(states, leaders={"leader"}).mode is Mode.HOLDING
-    states["leader"] = reading(LEFT, 1.0, Mode.FAULT)
-    assert joined_state(states, leaders={"leader"}).mode is Mode.FAULT
-    assert joined_state({"leader": reading(LEFT, 1.0, Mode.RELAXED)}, leaders={"leader"}).mode is Mode.RELAXED
-
-
-def test_goals_of_an_arm_without_torque_are_where_it_is() -> None:
-    state = joined_state({"left": reading(LEFT, 1.0, Mode.RELAXED), "right": reading(RIGHT, 2.0)})
+def test_a_relaxed_leader_keeps_nobody_from_moving_its_goals_are_where_it_is_and_one_with_a_fault_does() -> None:
+    states = {"left": reading(LEFT, 1.0, Mode.RELAXED), "right": reading(RIGHT, 2.0)}
+    assert joined_state(states, leaders={"left"}).mode is Mode.HOLDING
+    state = joined_state(states)
     assert state.goal_rad.tolist() == [1.0, 1.0, 2.5, 2.5]
     assert not state.torque_enabled
+    states["left"] = reading(LEFT, 1.0, Mode.FAULT)
+    assert joined_state(states, leaders={"left"}).mode is Mode.FAULT
+    assert joined_state({"left": reading(LEFT, 1.0, Mode.RELAXED)}, leaders={"left"}).mode is Mode.RELAXED
 
 
 async def test_an_arm_that_is_lost_is_left_out_of_what_is_read_and_stays_where_it_was_read_last(pair: Pair) -> None:
     state = joined_state({"left": LOST, "right": reading(RIGHT, 2.0)})
-    assert state.joint_names == RIGHT
-    assert state.position_rad.tolist() == [2.0, 2.0]
+    assert (state.joint_names, state.position_rad.tolist()) == (RIGHT, [2.0, 2.0])
     assert state.reason == "left: no such port"
     assert pair.both.state.position_rad is not None
     pair.left.state = LOST
     state = pair.both.state
-    assert state.mode is Mode.DISCONNECTED
-    assert state.position_rad.tolist() == [1.0] * 4
+    assert (state.mode, state.position_rad.tolist()) == (Mode.DISCONNECTED, [1.0] * 4)
     # Joint positions are unknown until every arm was read.
     never = Pair()
     never.left.state = LOST
     assert never.both.state.position_rad is None
-
-
-async def test_a_fault_says_which_arm_has_it(pair: Pair) -> None:
+    # A fault says which arm has it.
     fault = Fault(FaultCode.STALLED, "joint left_a is stalled", "left_a")
-    pair.left.state = replace(pair.left.state, mode=Mode.FAULT, fault=fault)
+    pair.left.state = replace(LOST, mode=Mode.FAULT, fault=fault)
     assert pair.both.state.fault.message == "left: joint left_a is stalled"
 
 
@@ -166,23 +158,23 @@ async def test_the_part_of_some_joints_is_the_arm_or_arms_that_have_them_the_sam
     assert [bool(arms[name].stops) for name in "xyz"] == [True, False, True]
 
 
-async def test_a_motion_of_one_arm_is_played_by_it_alone(pair: Pair) -> None:
-    pair.both.execute(motion(*LEFT))
-    assert len(pair.left.played) == 1
-    assert pair.right.played == []
-
-
-async def test_each_arm_plays_its_joints_of_a_motion_of_both_and_it_ends_with_the_last(pair: Pair) -> None:
+async def test_each_arm_plays_its_joints_of_a_motion_which_ends_with_the_last(pair: Pair) -> None:
     ended = pair.both.execute(motion("right_a", "left_a", "right_b"))
     assert pair.left.played[0].joint_names == ("left_a",)
     assert pair.left.played[0].positions_rad[0].tolist() == [1.0]
     assert pair.right.played[0].joint_names == ("right_a", "right_b")
     assert pair.right.played[0].positions_rad[0].tolist() == [0.0, 2.0]
+    pair.left.show(0.7)
+    pair.right.show(0.4)
+    assert pair.both.progress(ended).fraction == pytest.approx(0.4)
     pair.left.end(Outcome.REACHED, "the arm is there")
     await asyncio.sleep(0)
     assert not ended.done()
     pair.right.end(Outcome.REACHED, "the arm is there")
     assert await ended == MotionEnded(0, Outcome.REACHED, "the arm is there")
+    # A motion of one arm is played by it alone.
+    pair.both.execute(motion(*LEFT))
+    assert (len(pair.left.played), len(pair.right.played)) == (2, 1)
 
 
 async def test_what_ends_the_motion_of_one_arm_early_stops_the_other_and_is_the_answer(pair: Pair) -> None:
@@ -204,24 +196,12 @@ async def test_a_motion_of_both_is_stopped_in_both_and_a_stop_of_everything_reac
     assert pair.left.stops[1:] == pair.right.stops[1:] == [None]
 
 
-async def test_the_progress_of_a_motion_of_both_is_that_of_the_last(pair: Pair) -> None:
-    ended = pair.both.execute(motion(*LEFT, *RIGHT))
-    pair.left.show(0.7)
-    pair.right.show(0.4)
-    progress = pair.both.progress(ended)
-    assert isinstance(progress, MotionProgress)
-    assert progress.fraction == pytest.approx(0.4)
-
-
-async def test_an_order_to_all_reaches_every_arm_but_no_leader_is_enabled_by_it() -> None:
+async def test_an_order_to_all_reaches_every_arm_but_no_leader_is_enabled_by_it_and_a_stream_moves_one_arm() -> None:
     pair = Pair(leaders=("left",))
     assert (await pair.both.order(Order.ENABLE)).done
     assert (pair.left.orders, pair.right.orders) == ([], [Order.ENABLE])
     await pair.both.order(Order.EMERGENCY_STOP)
     assert (pair.left.orders, pair.right.orders) == ([Order.EMERGENCY_STOP], [Order.ENABLE, Order.EMERGENCY_STOP])
-
-
-async def test_a_stream_moves_one_arm(pair: Pair) -> None:
     assert pair.both.stream(("right_a",)).joint_names == ("right_a",)
     with pytest.raises(OrderRefused, match="not left, right"):
         pair.both.stream(("left_a", "right_a"))

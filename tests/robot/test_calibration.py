@@ -57,13 +57,10 @@ def test_ticks_survive_the_way_to_radians_and_back(joint, ticks):
     assert joint.ticks_from_rad(joint.rad_from_ticks(ticks)) == ticks
 
 
-def test_an_arm_joint_is_at_zero_in_the_middle_of_its_range_unless_an_offset_shifts_it():
+def test_an_arm_joint_is_at_zero_in_the_middle_of_its_range_and_drive_mode_mirrors_the_gripper_alone():
     elbow = JointCalibration(ELBOW, 3, 0, 0, 793, 2995)
     assert (elbow.rad_from_ticks(1894), elbow.rad_from_ticks(1894 + 1024)) == (0.0, pytest.approx(math.pi / 2))
     assert JointCalibration(ELBOW, 3, 0, 0, 793, 2995, zero_offset_rad=0.13).rad_from_ticks(1894) == pytest.approx(0.13)
-
-
-def test_drive_mode_mirrors_the_gripper_and_no_arm_joint():
     arm = [JointCalibration(SO101_SERVOS[3], 4, mode, 0, 900, 3100) for mode in (0, 1)]
     assert arm[0].rad_from_ticks(1000) == arm[1].rad_from_ticks(1000)
     plain, mirrored = (JointCalibration(SO101_SERVOS[5], 6, mode, 0, 2030, 3454) for mode in (0, 1))
@@ -81,15 +78,18 @@ def test_the_nominal_arm_reaches_the_limits_of_the_urdf_and_is_centred():
             assert joint.upper_rad - joint.lower_rad <= spec.upper_rad - spec.lower_rad + 0.1 + 2 * RAD_PER_TICK
 
 
-def test_a_file_of_lerobot_is_read_in_the_order_of_the_arm(tmp_path):
+def test_a_file_of_lerobot_is_read_in_the_order_of_the_arm_and_a_range_of_nearly_a_turn_warned_of(tmp_path):
     calibration = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=866), SO101_SERVOS)
     assert [joint.joint for joint in calibration.joints] == [spec.joint for spec in SO101_SERVOS]
     assert calibration.joints[2] == JointCalibration(ELBOW, 3, 0, 7, 866, 3100)
+    wide = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=10, elbow_flex__range_max=4090), SO101_SERVOS)
+    assert [warning.split()[0] for warning in wide.warnings()] == ["elbow_flex"]
+    # Where it is usual nobody is warned.
+    assert nominal_calibration().warnings() == ()
 
 
-@pytest.mark.parametrize(
-    ("change", "field", "sentence"),
-    [
+def test_a_file_that_cannot_be_right_is_refused_with_its_field(tmp_path):
+    for change, field, sentence in (
         ({"elbow_flex": None}, "elbow_flex", "missing"),
         ({"left_wheel": {}}, "left_wheel", "no such joint"),
         ({"gripper": 3}, "gripper", "must be an object"),
@@ -100,13 +100,11 @@ def test_a_file_of_lerobot_is_read_in_the_order_of_the_arm(tmp_path):
         ({"gripper__homing_offset": 2048}, "gripper.homing_offset", "-2047 to 2047"),
         ({"gripper__id": 254}, "gripper.id", "0 to 253"),
         ({"gripper__id": 5}, "gripper.id", "id of wrist_roll"),
-    ],
-)
-def test_a_file_that_cannot_be_right_is_refused_with_its_field(tmp_path, change, field, sentence):
-    path = lerobot_file(tmp_path, **change)
-    with pytest.raises(CalibrationError, match=sentence) as caught:
-        Calibration.load(path, SO101_SERVOS)
-    assert f"{path}{', ' if field else ''}{field}: " in str(caught.value)
+    ):
+        path = lerobot_file(tmp_path, **change)
+        with pytest.raises(CalibrationError, match=sentence) as caught:
+            Calibration.load(path, SO101_SERVOS)
+        assert f"{path}{', ' if field else ''}{field}: " in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -134,31 +132,19 @@ def test_the_elbow_of_every_measured_arm_spans_the_urdf_within_a_degree():
         assert (joint.lower_rad, joint.upper_rad) == expected, name
 
 
-def test_a_zero_trim_moves_the_joints_it_names_and_no_other():
+def test_a_zero_trim_moves_the_joints_it_names_and_no_other_and_one_that_makes_no_sense_is_refused():
     plain = nominal_calibration()
     joints = zip(plain.with_zero_offsets({"elbow_flex": 0.13}).joints, plain.joints, strict=True)
     moved = [new.rad_from_ticks(2000) - old.rad_from_ticks(2000) for new, old in joints]
     assert moved == pytest.approx([0.0, 0.0, 0.13, 0.0, 0.0, 0.0])
-
-
-@pytest.mark.parametrize(
-    ("trim", "words"),
-    [
+    for trim, words in (
         ({"elbow": 0.1}, "elbow: must be one of the arm's joints"),
         ({"gripper": 0.1}, "gripper: must be one of"),
         ({"elbow_flex": 0.6}, "within .*0.5 rad, not 0.6"),
         ({"elbow_flex": math.nan}, "not nan"),
-    ],
-)
-def test_a_zero_trim_that_makes_no_sense_is_refused(trim, words):
-    with pytest.raises(CalibrationError, match=words):
-        nominal_calibration().with_zero_offsets(trim)
-
-
-def test_a_range_of_nearly_a_turn_is_warned_of_except_where_it_is_usual(tmp_path):
-    wide = Calibration.load(lerobot_file(tmp_path, elbow_flex__range_min=10, elbow_flex__range_max=4090), SO101_SERVOS)
-    assert [warning.split()[0] for warning in wide.warnings()] == ["elbow_flex"]
-    assert nominal_calibration().warnings() == ()
+    ):
+        with pytest.raises(CalibrationError, match=words):
+            plain.with_zero_offsets(trim)
 
 
 @pytest.fixture
@@ -166,23 +152,19 @@ def home(tmp_path):
     return {"HF_LEROBOT_CALIBRATION": str(tmp_path)}
 
 
-@pytest.mark.parametrize("robot", ["so_follower", "so101_follower"])
-def test_an_id_is_found_under_both_names_that_lerobot_gave_the_robot_else_refused(home, tmp_path, robot):
+def test_an_id_is_found_under_both_names_that_lerobot_gave_the_robot_unless_two_differ(home, tmp_path):
     with pytest.raises(CalibrationError, match=r"so_follower/left\.json or .*so101_follower/left\.json"):
         find_calibration("left", FOLDERS, home)
-    path = tmp_path / "robots" / robot / "left.json"
-    save(nominal_calibration(), path)
-    assert find_calibration("left", FOLDERS, home) == path
-
-
-def test_two_calibrations_of_one_id_are_refused_only_if_they_differ(home):
-    first, second = (directory / "left.json" for directory in lerobot_directories(FOLDERS, home))
-    save(nominal_calibration(), first)
-    save(nominal_calibration(), second)
-    assert find_calibration("left", FOLDERS, home) == first
-    second.write_text("{}")
+    paths = [tmp_path / "robots" / robot / "left.json" for robot in ("so_follower", "so101_follower")]
+    for path in reversed(paths):
+        save(nominal_calibration(), path)
+        assert find_calibration("left", FOLDERS, home) == path
+    paths[1].write_text("{}")
     with pytest.raises(CalibrationError, match="ambiguous"):
         find_calibration("left", FOLDERS, home)
+    # A new one goes where lerobot looks first.
+    assert new_calibration_path("left", FOLDERS, home) == paths[0]
+    assert str(new_calibration_path("./left.json", FOLDERS, home)) == "left.json"
 
 
 def test_the_directory_follows_lerobots_environment_variables():
@@ -196,13 +178,17 @@ def test_the_directory_follows_lerobots_environment_variables():
         assert all(str(directory).startswith(start) for directory in directories), environment
 
 
-def test_what_is_saved_loads_as_the_same_calibration(tmp_path):
+def test_what_is_saved_loads_as_the_same_calibration_and_a_place_that_cannot_be_written_is_refused(tmp_path):
     path = tmp_path / "new" / "arm.json"
     save(nominal_calibration(), path)
     assert Calibration.load(path, SO101_SERVOS) == nominal_calibration()
     fields = ["id", "drive_mode", "homing_offset", "range_min", "range_max"]
     assert list(json.loads(path.read_text())["gripper"]) == fields
     assert [entry.name for entry in path.parent.iterdir()] == ["arm.json"]
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        save(nominal_calibration(), path / "arm.json")
+    with pytest.raises(CalibrationError, match="cannot be written"), reserved(path / "a", overwrite=True):
+        pass
 
 
 def test_a_file_that_is_being_calibrated_is_refused_with_the_process(tmp_path):
@@ -216,16 +202,3 @@ def test_a_file_that_is_being_calibrated_is_refused_with_the_process(tmp_path):
         pass
     with reserved(path, overwrite=True):
         pass
-
-
-def test_a_place_that_cannot_be_written_or_reserved_is_refused(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(CalibrationError, match="cannot be written"):
-        save(nominal_calibration(), tmp_path / "file" / "arm.json")
-    with pytest.raises(CalibrationError, match="cannot be written"), reserved(tmp_path / "file" / "a", overwrite=True):
-        pass
-
-
-def test_a_new_calibration_of_an_id_goes_where_lerobot_looks_first(home):
-    assert new_calibration_path("left", FOLDERS, home) == lerobot_directories(FOLDERS, home)[0] / "left.json"
-    assert str(new_calibration_path("./left.json", FOLDERS, home)) == "left.json"

@@ -32,7 +32,7 @@ def as_json(made: logging.LogRecord) -> dict[str, Any]:
     return fields
 
 
-def test_a_json_line_has_time_process_and_message() -> None:
+def test_a_json_line_has_time_process_and_message_with_its_subjects_and_a_whole_traceback() -> None:
     made = record("%s is hot", "elbow_flex")
     fields = as_json(made)
     time = datetime.fromisoformat(fields.pop("time"))
@@ -40,20 +40,12 @@ def test_a_json_line_has_time_process_and_message() -> None:
     assert time.timestamp() == pytest.approx(made.created, abs=0.001)
     words = {"level": "warning", "logger": "armbridge.arm", "message": "elbow_flex is hot"}
     assert fields == words | {"process": "server", "pid": made.process}
-
-
-def test_a_json_line_has_the_subjects_of_its_message_and_a_whole_traceback() -> None:
     made = record("goal %s", "7", error=ValueError("two\nlines"))
     vars(made).update(goal="7", client="", code="SUCCESS", other="x")
     fields = as_json(made)
     assert (fields["goal"], fields["code"]) == ("7", "SUCCESS")
     assert not {"client", "other"} & fields.keys()
     assert fields["exception"].startswith("ValueError: two\nlines")
-
-
-def test_a_plain_line_is_for_people_and_names_one_of_several_arms() -> None:
-    assert logs.PlainFormatter().format(record("hot")).endswith("WARNING armbridge.arm: hot")
-    assert logs.PlainFormatter("left").format(record("hot")).endswith("WARNING armbridge.arm: left: hot")
 
 
 SECRETS = (
@@ -85,7 +77,9 @@ raise OSError(f"{before}, then {logs.format_in_use()}")
 
 
 @pytest.mark.parametrize("text", ["bye\n2026-01-01 ERROR armbridge: the arm burns", "\x1b[2Jgone", "a\rb"])
-def test_nobody_writes_lines_of_its_own_into_the_plain_log(text: str) -> None:
+def test_a_plain_line_names_one_of_several_arms_and_nobody_writes_lines_of_its_own(text: str) -> None:
+    assert logs.PlainFormatter().format(record("hot")).endswith("WARNING armbridge.arm: hot")
+    assert logs.PlainFormatter("left").format(record("hot")).endswith("WARNING armbridge.arm: left: hot")
     line = logs.PlainFormatter().format(record("closed: %s", text))
     assert line.isprintable()
     assert line.endswith(f"closed: {text}".encode("unicode_escape").decode())
@@ -108,12 +102,11 @@ class Child:
         return
 
 
-@pytest.fixture(autouse=True)
-def nothing_is_changed_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_loggers_that_are_changed_are_bounded_and_children_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(logs, "_changed", {})
-
-
-def test_an_unreferenced_child_is_forgotten() -> None:
+    changes = [logs.LoggerLevel(f"{NAME}.l{number}", 0) for number in range(logs.MAX_CHANGED_LOGGERS + 1)]
+    assert [logs.change(each) for each in changes] == [True] * logs.MAX_CHANGED_LOGGERS + [False]
+    assert logs.change(changes[0])
     count = len(logs._followers)
     child = Child()
     logs.follow(child)
@@ -121,35 +114,42 @@ def test_an_unreferenced_child_is_forgotten() -> None:
     assert len(logs._followers) <= count
 
 
-def test_not_more_loggers_are_changed_than_there_may_be() -> None:
-    changes = [logs.LoggerLevel(f"{NAME}.l{number}", 0) for number in range(logs.MAX_CHANGED_LOGGERS + 1)]
-    assert [logs.change(each) for each in changes] == [True] * logs.MAX_CHANGED_LOGGERS + [False]
-    assert logs.change(changes[0])
-
-
-@pytest.mark.parametrize(
-    ("burst", "lines_per_s", "lines"),
-    [
+def test_lines_are_due_in_bursts_and_then_at_a_rate() -> None:
+    for burst, lines_per_s, lines in (
         (3, 0.5, [("a", 0.0, True)] * 3 + [("a", 0.0, False)] * 2 + [("a", 2.0, True), ("a", 2.0, False)]),
         (2, 1.0, [("a", 0.0, True), ("a", 1e6, True), ("a", 1e6, True), ("a", 1e6, False)]),
         (1, 0.0, [("a", 0.0, True), ("b", 0.0, True), ("a", 1e9, False)]),
-    ],
-)
-def test_lines_are_due_in_bursts_and_then_at_a_rate(burst: int, lines_per_s: float, lines: list[Any]) -> None:
-    limiter = logs.LogLimiter(burst, lines_per_s)
-    assert [limiter.due(key, now_s) for key, now_s, _ in lines] == [due for _, _, due in lines]
+    ):
+        limiter = logs.LogLimiter(burst, lines_per_s)
+        assert [limiter.due(key, now_s) for key, now_s, _ in lines] == [due for _, _, due in lines]
 
 
 LOG = logging.getLogger("armbridge.test")
 
 
-def test_a_flood_of_lines_is_cut_short_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_flood_of_lines_is_cut_short_and_counted(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
     limiter = logs.LogLimiter(burst=50, lines_per_s=1.0)
     for number in range(80):
         limiter.write(LOG, logging.WARNING, f"client x: refused: {number}", "x", 10.0)
     assert caplog.messages == [f"client x: refused: {number}" for number in range(50)]
+    assert caplog.records[0].pathname == __file__
     limiter.write(LOG, logging.WARNING, "client x: refused: later", "x", 11.0)
     assert caplog.messages[-1] == "client x: refused: later (30 more lines like this were left out before)"
+    # So it is in every process, by a filter.
+    root = logging.getLogger()
+    monkeypatch.setattr(root, "handlers", [])
+    logs.configure("INFO", "plain")
+    assert [type(each) for each in root.handlers[0].filters] == [logs.FloodFilter]
+    now_s = [0.0]
+    flood = logs.FloodFilter(lambda: now_s[0])
+    for _ in range(logs.BURST + 3):
+        flood.filter(record("hot"))
+    now_s[0] = 1.0 / logs.LINES_PER_S
+    after = record("hot")
+    assert flood.filter(after)
+    assert logs.PlainFormatter().format(after).endswith("hot (3 more lines like this were left out before)")
 
 
 def test_keys_that_clients_choose_are_bounded_and_the_end_is_told(caplog: pytest.LogCaptureFixture) -> None:
@@ -160,33 +160,6 @@ def test_keys_that_clients_choose_are_bounded_and_the_end_is_told(caplog: pytest
     assert caplog.messages[-1] == f"{logs.MAX_KEYS} lines of this kind were written; further ones are not"
     assert len(limiter._buckets) == logs.MAX_KEYS
     assert all(isinstance(key, int) for key in limiter._buckets)
-
-
-def test_a_line_names_the_place_that_writes_it(caplog: pytest.LogCaptureFixture) -> None:
-    logs.LogLimiter().write(LOG, logging.WARNING, "refused: no", "x")
-    assert caplog.records[0].pathname == __file__
-
-
-def test_the_next_line_has_the_number_of_suppressed_ones() -> None:
-    now_s = [0.0]
-    flood = logs.FloodFilter(lambda: now_s[0])
-    for _ in range(logs.BURST + 3):
-        flood.filter(record("hot"))
-    now_s[0] = 1.0 / logs.LINES_PER_S
-    after = record("hot")
-    assert flood.filter(after)
-    assert logs.PlainFormatter().format(after).endswith("hot (3 more lines like this were left out before)")
-    assert logs.PlainFormatter().format(record("hot")).endswith("hot")
-
-
-def test_every_process_logs_through_it() -> None:
-    root = logging.getLogger()
-    former, root.handlers = root.handlers, []
-    try:
-        logs.configure("INFO", "plain")
-        assert [type(each) for each in root.handlers[0].filters] == [logs.FloodFilter]
-    finally:
-        root.handlers = former
 
 
 LOGGER = """
@@ -251,7 +224,7 @@ def test_a_lock_that_another_process_has_is_refused_with_its_number_and_free_aft
         FileLock(path).acquire()
 
 
-def test_a_lock_is_waited_for_no_longer_than_its_time_and_taken_when_it_is_given_back(path: Path) -> None:
+def test_a_lock_is_waited_for_no_longer_than_its_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held = FileLock(path)
     held.acquire()
     times = iter((0.0, 1.0, 1.9, 2.0))
@@ -261,9 +234,7 @@ def test_a_lock_is_waited_for_no_longer_than_its_time_and_taken_when_it_is_given
     threading.Timer(0.05, held.release).start()
     with locked(path):
         pass
-
-
-def test_a_lock_keeps_threads_of_one_process_from_each_other(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # It keeps threads of one process from each other.
     monkeypatch.setattr(files, "LOCK_TIMEOUT_S", 0.0)
     with locked(path), pytest.raises(FileLockedError, match=str(os.getpid())), locked(path):
         pass
@@ -271,13 +242,7 @@ def test_a_lock_keeps_threads_of_one_process_from_each_other(path: Path, monkeyp
         pass
 
 
-def test_all_names_of_a_file_have_one_lock(tmp_path: Path) -> None:
-    link = tmp_path / "link.json"
-    link.symlink_to(tmp_path / "states.json")
-    assert lock_path(link) == lock_path(tmp_path / "sub" / ".." / "states.json") == tmp_path / ".states.json.lock"
-
-
-def test_a_file_is_replaced_as_a_whole_nothing_is_left_beside_it_and_a_symbolic_link_stays_one(tmp_path: Path) -> None:
+def test_a_file_is_replaced_as_a_whole_and_all_its_names_have_one_lock(tmp_path: Path) -> None:
     path, link = tmp_path / "states.json", tmp_path / "link.json"
     for content in (b"old", b"new"):
         replace(path, content)
@@ -285,6 +250,7 @@ def test_a_file_is_replaced_as_a_whole_nothing_is_left_beside_it_and_a_symbolic_
     link.symlink_to(path)
     replace(link, b"newer")
     assert (link.is_symlink(), path.read_bytes()) == (True, b"newer")
+    assert lock_path(link) == lock_path(tmp_path / "sub" / ".." / "states.json") == tmp_path / ".states.json.lock"
 
 
 def test_what_cannot_be_written_leaves_the_old_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,9 +76,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "armbridge.toml"
 
 
-def test_the_environment_overrides_the_file_and_the_command_line_both(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_environment_overrides_the_file_and_options_both(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text('[server]\nhost = "file"\nport = 1\nlog_level = "error"\n[goals]\npolicy = "preempt"\n')
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     monkeypatch.setenv("ARMBRIDGE_SERVER__LOG_LEVEL", "debug")
@@ -135,9 +133,7 @@ def test_a_wrong_value_in_the_file_is_refused_under_the_command_line_as_well(fil
             load(file, {"server": {"port": 1}})
 
 
-def test_a_wrong_value_is_refused_also_where_the_environment_or_the_command_line_overrides_it(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_wrong_value_is_refused_also_where_it_is_overridden(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text("[server]\nport = -1\n")
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     with pytest.raises(ConfigurationError, match=r"server\.port: .*-1, from the file"):

@@ -36,7 +36,7 @@ from server.moveit.messages import Message, pose_of, write_transform
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.constraints import planning_group, tip_link
 from server.moveit.scene.frames import Frames, seen_from
-from server.robot_files import RobotFiles, package_name, with_package_urls
+from server.robot_files import RobotFiles, with_package_urls
 
 log = logging.getLogger("armbridge.description")
 
@@ -56,7 +56,7 @@ EARLY_S = 0.005
 
 def offer_description(graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
     node, files = graph.node("robot description"), RobotFiles(robot)
-    texts = {URDF_TOPIC: with_package_urls(robot.urdf, package_name(robot)), SRDF_TOPIC: robot.srdf}
+    texts = {URDF_TOPIC: with_package_urls(robot), SRDF_TOPIC: robot.srdf}
     for topic, text in texts.items():
         node.advertise(topic, "std_msgs/String", latch=True)
         node.publish(topic, {"data": text})

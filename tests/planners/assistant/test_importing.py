@@ -36,19 +36,23 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_the_folder_loads_without_a_problem(imported):
+def test_the_folder_loads_without_a_problem_and_can_be_moved(imported, tmp_path):
     out, _, _ = imported
     assert list(robot_folder.problems(str(out))) == []
     arm = robot_folder.load(out).model
     assert arm.groups["arm"].joints == ("turn", "lift", "bend", "roll")
     assert arm.tip_link == "tool_point"
     # The gripper opens where its fingers are apart; home is zero, or the middle of the range, and nothing touches.
-    assert arm.gripper.joints == ("left_finger", "right_finger")
-    assert (arm.gripper.open, arm.gripper.closed) == (0.03, 0.0)
+    assert arm.gripper == model.GripperModel(("left_finger", "right_finger"), 0.03, 0.0)
     home = arm.named_states["arm"]["home"]
     assert home == {"turn": 0.0, "lift": 0.0, "bend": 0.0, "roll": 1.75}
     collision = CollisionModel(arm)
     assert not collision.in_collision(np.array([home.get(name, 0.0) for name in collision.joint_names]))
+    moved = shutil.copytree(out, tmp_path / "moved")
+    root = ET.parse(next(moved.glob("*.urdf"))).getroot()
+    names = {mesh.get("filename") for mesh in root.iter("mesh")}
+    assert names == {"meshes/base.stl", "meshes/turret.stl", "meshes/channel.stl"}
+    assert all((moved / name).is_file() for name in names)
 
 
 def test_every_link_with_a_shape_has_parts_and_a_hull_that_encloses_them(imported):
@@ -57,18 +61,9 @@ def test_every_link_with_a_shape_has_parts_and_a_hull_that_encloses_them(importe
     # Shapes are in the frames of the links.
     assert arm.parts["palm"][0].max(axis=0) == pytest.approx([0.015, 0.04, 0.03])
     for link, parts in arm.parts.items():
-        hull = arm.hulls[link].vertices
-        for vertices in parts:
-            assert np.all(vertices.min(axis=0) >= hull.min(axis=0) - 1e-6), link
-            assert np.all(vertices.max(axis=0) <= hull.max(axis=0) + 1e-6), link
-
-
-def test_the_folder_can_be_moved(imported, tmp_path):
-    moved = shutil.copytree(imported[0], tmp_path / "moved")
-    root = ET.parse(next(moved.glob("*.urdf"))).getroot()
-    names = {mesh.get("filename") for mesh in root.iter("mesh")}
-    assert names == {"meshes/base.stl", "meshes/turret.stl", "meshes/channel.stl"}
-    assert all((moved / name).is_file() for name in names)
+        hull, vertices = arm.hulls[link].vertices, np.vstack(parts)
+        assert np.all(vertices.min(axis=0) >= hull.min(axis=0) - 1e-6), link
+        assert np.all(vertices.max(axis=0) <= hull.max(axis=0) + 1e-6), link
 
 
 def test_the_picture_shows_something_in_each_view_and_progress_names_each_link_and_how_far_its_parts_are(imported):
@@ -109,31 +104,24 @@ def test_only_a_robot_folder_is_overwritten_and_only_when_asked(urdf, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["arm"]
 
 
-def test_an_interrupted_import_leaves_nothing(urdf, tmp_path):
+def test_an_interrupted_import_or_one_without_a_mesh_leaves_nothing_and_a_link_that_is_only_seen_is_mentioned(tmp_path):
+    urdf = write_package(tmp_path)
+    seen = '<visual><geometry><sphere radius="0.01"/></geometry></visual>'
+    text = urdf.read_text().replace('<link name="tool_point"/>', f'<link name="tool_point">{seen}</link>')
+    urdf.write_text(text)
+    lines = quickly(urdf, tmp_path / "seen")
+    assert any(line.startswith("CHECK: tool_point: these links are seen but have no <collision>") for line in lines)
+
     def interrupt(line: str) -> None:
         if line.startswith("drawing"):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        quickly(urdf, tmp_path / "arm", interrupt)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_mesh_that_is_not_there_is_named_with_the_paths_tried(tmp_path):
-    urdf = write_package(tmp_path)
+        quickly(urdf, tmp_path / "out", interrupt)
     (tmp_path / "mesh_arm" / "meshes" / "channel.stl").unlink()
     with pytest.raises(DescriptionError, match=r"package://mesh_arm/meshes/channel\.stl.*tried: .*channel\.stl"):
         quickly(urdf, tmp_path / "out", convex=True)
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_link_that_is_only_seen_is_mentioned(tmp_path):
-    urdf = write_package(tmp_path)
-    seen = '<visual><geometry><sphere radius="0.01"/></geometry></visual>'
-    text = urdf.read_text().replace('<link name="tool_point"/>', f'<link name="tool_point">{seen}</link>')
-    urdf.write_text(text)
-    lines = quickly(urdf, tmp_path / "out")
-    assert any(line.startswith("CHECK: tool_point: these links are seen but have no <collision>") for line in lines)
+    assert {path.name for path in tmp_path.iterdir()} == {"mesh_arm", "seen"}
 
 
 XACRO = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
@@ -165,7 +153,7 @@ def structure_of(urdf: str, base=None, tip=None):
     return find_structure(Tree(arm.links, arm.joints), shaped, base, tip)
 
 
-def test_two_fingers_or_one_jaw_are_the_gripper_and_the_tool_frame_is_the_tip():
+def test_two_fingers_one_jaw_or_none_are_the_gripper_and_the_tool_frame_is_the_tip():
     found = structure_of(URDF)
     assert found.arm_joints == ("turn", "lift", "bend", "roll")
     assert found.gripper_joints == ("left_finger", "right_finger")
@@ -178,22 +166,16 @@ def test_two_fingers_or_one_jaw_are_the_gripper_and_the_tool_frame_is_the_tip():
     # A finger that mimics the other has no position of its own.
     mimicking = URDF.replace('<axis xyz="0 -1 0"/>', '<axis xyz="0 -1 0"/><mimic joint="left_finger"/>')
     assert structure_of(mimicking).gripper_joints == ("left_finger",)
-
-
-def test_an_arm_without_fingers_has_no_gripper():
     found = structure_of(SEVEN_JOINT_URDF)
     assert found.arm_joints == ("a1", "a2", "a3", "a4", "a5", "a6", "a7")
     assert (found.gripper_joints, found.tip_link) == ((), "tool")
 
 
-def test_joints_before_the_base_that_is_given_are_held_and_the_tip_that_is_given_ends_the_arm():
+def test_joints_before_the_base_given_are_held_the_tip_given_ends_the_arm_and_links_that_make_none_are_refused():
     found = structure_of(URDF, base="turret")
     assert (found.arm_joints, found.held_joints) == (("lift", "bend", "roll"), ("turn",))
     found = structure_of(URDF, tip="fore")
     assert (found.arm_joints, found.tip_link) == (("turn", "lift", "bend"), "fore")
-
-
-def test_links_that_make_no_arm_are_refused():
     for base, tip, reason in (
         ("nowhere", None, "--base nowhere: .* palm"),
         (None, "nowhere", "--tip nowhere: .* palm"),
@@ -211,7 +193,7 @@ def surface(triangles) -> Surface:
 CUBE = surface(boxes_union([((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1))]))
 
 
-def test_a_part_that_is_too_small_leaves_the_surface_uncovered_and_faces_between_parts_do_not_stand_out():
+def test_a_part_too_small_leaves_the_surface_uncovered_faces_between_do_not_stand_out_and_planes_enclose_it():
     deviation = measure(CUBE, [ConvexPart(0.9 * CUBE.vertices_m)], np.random.default_rng(1))
     assert deviation.uncovered_m == pytest.approx(0.01, abs=0.0005)
     assert deviation.outside_m == 0.0
@@ -219,9 +201,6 @@ def test_a_part_that_is_too_small_leaves_the_surface_uncovered_and_faces_between
     parts = [ConvexPart(boxes_union([half]).reshape(-1, 3)) for half in halves]
     # Distances are to samples, which are 1.1 mm apart on this surface.
     assert measure(CUBE, parts, np.random.default_rng(1)).greatest_m < 0.002
-
-
-def test_a_part_within_planes_encloses_it():
     points, directions = (np.random.default_rng(0).normal(size=(count, 3)) for count in (400, 60))
     wider = ConvexPart(points).within(directions / np.linalg.norm(directions, axis=1)[:, np.newaxis])
     assert wider.depth_m(points).max() < 1e-9
@@ -246,13 +225,10 @@ def test_parts_cover_a_hollow_link_within_the_tolerance_leave_its_hollow_free_an
         np.testing.assert_array_equal(first.vertices_m, second.vertices_m)
 
 
-def test_a_convex_mesh_is_one_part():
-    found = decompose(surface(boxes_union([((0.0, 0.0, 0.0), (0.1, 0.2, 0.3))])), Limits())
+def test_a_convex_mesh_is_one_part_and_bounds_give_the_closest_parts_and_their_deviation():
+    found = decompose(CUBE, Limits())
     assert len(found.parts) == 1
     assert found.deviation.greatest_m < 0.003
-
-
-def test_bounds_give_the_closest_parts_and_their_deviation():
     assert len(decompose(surface(channel()), Limits(max_time_s=0.0)).parts) == 1
     found = decompose(surface(channel()), Limits(max_parts=1))
     assert len(found.parts) == 1
@@ -284,27 +260,17 @@ def contacts_of(urdf):
     return SelfContacts(robot, {link: shapes_in_link(link, shapes) for link, shapes in link_shapes(robot).items()})
 
 
-@pytest.fixture(scope="module")
-def contacts():
-    return contacts_of(PAIRS_URDF)
-
-
-@pytest.fixture(scope="module")
-def found(contacts):
-    return unchecked_pairs(contacts, 400, 0, lambda _done: None)
-
-
-def test_links_are_adjacent_touch_never_or_always_and_those_that_touch_in_some_states_are_checked(found):
+def test_links_are_adjacent_touch_never_or_always_and_those_that_touch_in_some_states_are_checked():
+    contacts = contacts_of(PAIRS_URDF)
+    found = unchecked_pairs(contacts, 400, 0, lambda _done: None)
     # Links without a shape are skipped: those before and behind them are adjacent.
     adjacent = {(pair.first, pair.second) for pair in found if pair.reason == "Adjacent"}
     assert adjacent == {("flag", "post"), ("bar", "flag"), ("bar", "far")}
     assert UncheckedPair("post", "far", "Never") in found
     assert frozenset(("post", "bar")) not in {frozenset((pair.first, pair.second)) for pair in found}
-    inside = contacts_of(PAIRS_URDF.replace('<origin xyz="0 0.1 0"/>', '<origin xyz="0 0 0"/>'))
-    assert UncheckedPair("post", "bar", "Always") in unchecked_pairs(inside, 50, 0, lambda _done: None)
-
-
-def test_a_free_state_is_drawn_where_none_is_given(contacts, found):
+    # A free state is drawn where none is given.
     state, is_free = free_state(contacts, found, (np.array([0.0, 1.5, 0.0]),), 200, 0)
     assert is_free
     assert not contacts.touching(state, [("post", "bar")])
+    inside = contacts_of(PAIRS_URDF.replace('<origin xyz="0 0.1 0"/>', '<origin xyz="0 0 0"/>'))
+    assert UncheckedPair("post", "bar", "Always") in unchecked_pairs(inside, 50, 0, lambda _done: None)

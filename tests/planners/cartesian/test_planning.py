@@ -123,19 +123,15 @@ def test_paths_of_whole_steps_and_of_hardly_any_length_are_planned(follower):
 
 
 @pytest.mark.parametrize("tip_speed_m_s", [0.01, 0.05, 0.2])
-def test_the_tip_moves_as_fast_as_it_may_and_no_faster(follower, tip_speed_m_s):
+def test_the_tip_moves_as_fast_as_it_may_and_no_faster_and_a_scaled_motion_slower(follower, tip_speed_m_s):
     plan = planned(follower, 0.0, 0.06, 0.02, tip_speed_m_s=tip_speed_m_s)
     positions, velocities, _ = fine_samples(plan.trajectory)
     tracker = follower.tracker(START)
     speeds = [tracker.speed_m(point, velocity) for point, velocity in zip(positions, velocities, strict=True)]
     assert max(speeds) <= tip_speed_m_s * 1.001
     assert max(speeds) >= 0.9 * tip_speed_m_s or tip_speed_m_s > 0.1
-
-
-def test_scaling_slows_the_motion_down(follower):
-    fast, slow = (
-        planned(follower, 0.0, 0.08, 0.0, velocity_scaling=share, acceleration_scaling=share) for share in (1.0, 0.1)
-    )
+    scaled = ({"velocity_scaling": share, "acceleration_scaling": share} for share in (1.0, 0.1))
+    fast, slow = (planned(follower, 0.0, 0.08, 0.0, **each) for each in scaled)
     assert slow.trajectory.duration_s > 3.0 * fast.trajectory.duration_s
 
 
@@ -153,41 +149,24 @@ def test_the_nearest_orientation_is_taken_unless_it_must_be_kept(follower):
     assert kept.deviation.orientation_rad < 0.02
 
 
-@pytest.fixture
-def put_wall(follower, put):
-    """Put a wall to the left of the tip in START."""
-
-    def put_wall(beside_m):
-        x, y, _ = follower.pose(START).translation.tolist()
+def test_a_path_into_an_obstacle_ends_before_a_contact_that_counts_and_names_the_pair(follower, put):
+    x, y, _ = follower.pose(START).translation.tolist()
+    problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))
+    # The second wall to the left of the tip stands within the last step of the path.
+    for beside_m, least, most in ((0.11, 0.1, 0.9), (0.1288, 0.9, 0.99)):
         put(follower.collision, thing(Box((0.4, 0.01, 0.6)), x, y + beside_m, 0.3, name="wall"))
-
-    return put_wall
-
-
-def test_a_path_ends_only_at_a_contact_that_counts(follower, put_wall):
-    # The wall stands within the last step of the path.
-    put_wall(0.1288)
-    plan = planned(follower, 0.0, 0.12, 0.0)
-    assert 0.9 <= plan.fraction <= 0.99
-    assert plan.stopped_by is not None
-    put_wall(0.11)
+        plan = follower.plan(problem)
+        assert least <= plan.fraction <= most
+        stopped_by = plan.stopped_by
+        assert (stopped_by.code, stopped_by.details["reason"]) == (Code.INVALID_MOTION_PLAN, "collision")
+        assert "wall" in stopped_by.details["pairs"][0].values()
+        assert "wall" in stopped_by.message
+        assert_touches_nothing(plan.trajectory, follower.collision, problem.start_rad)
     plan = planned(follower, 0.0, 0.12, 0.0, avoid_collisions=False)
     assert (plan.fraction, plan.stopped_by) == (1.0, None)
 
 
-def test_a_path_into_an_obstacle_ends_before_it_and_names_the_pair(follower, put_wall):
-    put_wall(0.11)
-    problem = follower.problem(START, shifted(follower, 0.0, 0.12, 0.0))
-    plan = follower.plan(problem)
-    assert 0.1 < plan.fraction < 0.9
-    stopped_by = plan.stopped_by
-    assert (stopped_by.code, stopped_by.details["reason"]) == (Code.INVALID_MOTION_PLAN, "collision")
-    assert "wall" in stopped_by.details["pairs"][0].values()
-    assert "wall" in stopped_by.message
-    assert_touches_nothing(plan.trajectory, follower.collision, problem.start_rad)
-
-
-def test_out_of_reach_is_told_with_how_far_and_a_jump_with_its_joint(follower):
+def test_a_path_ends_out_of_reach_before_a_jump_or_where_the_constraints_no_longer_hold_and_says_so(follower):
     plan = planned(follower, 0.5, 0.0, 0.0)
     assert 0.0 < plan.fraction < 1.0
     assert (plan.stopped_by.code, plan.stopped_by.details["reason"]) == (Code.NO_IK_SOLUTION, "reach")
@@ -196,9 +175,6 @@ def test_out_of_reach_is_told_with_how_far_and_a_jump_with_its_joint(follower):
     assert plan.fraction < 0.01
     assert plan.stopped_by.code == Code.PLANNING_FAILED
     assert plan.stopped_by.details["joint"] in follower.robot.groups["arm"].joints
-
-
-def test_path_constraints_end_the_path_where_they_no_longer_hold(follower):
     constraints = Constraints(joints=(JointConstraint("shoulder_pan", 0.0, 0.1, 0.1),))
     plan = planned(follower, 0.0, 0.1, 0.0, path_constraints=constraints)
     assert 0.0 < plan.fraction < 1.0
@@ -217,7 +193,7 @@ def test_a_start_that_cannot_be_followed_from_is_refused(follower):
     assert follower.plan(follower.problem(START, path), should_stop=lambda: True).code == Code.PREEMPTED
 
 
-def test_points_are_added_until_the_curve_is_near_the_path(follower):
+def test_points_are_added_until_the_curve_is_near_the_path_within_the_limits(follower):
     tracker, placement = follower.tracker(START), follower.pose(START)
     path = TipPath(placement, [line(moved(placement, 0.0, 0.08, 0.0))])
     end = tracker.follow(START, path.at(0.08), 0.0)
@@ -228,10 +204,7 @@ def test_points_are_added_until_the_curve_is_near_the_path(follower):
     along_m = np.linspace(0.0, 0.08, 300)
     off_m = [apart_m(path.at(s), tracker.pose(p)) for s, p in zip(along_m, curve(along_m), strict=True)]
     assert max(off_m) <= 1.2 * CHORD_M
-
-
-def test_the_curve_stays_within_the_limits_where_a_joint_stops_at_one(follower):
-    tracker, placement = follower.tracker(START), follower.pose(START)
+    # A joint may stop at its limit.
     path = TipPath(placement, [line(moved(placement, 0.0, 0.0, 0.04))])
     along_m = np.linspace(0.0, 0.04, 9)
     points = np.array([tracker.follow(START, path.at(s), 0.0) for s in along_m])
@@ -250,16 +223,11 @@ def test_no_joint_goes_beyond_its_limits(follower, share, step_m):
     assert not tracker.outside(tracker.follow(start, moved(tracker.pose(start), *step_m), 1.0)).any()
 
 
-def test_turning_for_the_orientation_alone_is_limited(follower):
-    start = np.array([0.2, -0.4, 0.6, 0.3, 0.1])
+def test_turning_for_the_orientation_alone_is_limited_and_the_speed_of_the_tip_that_of_its_positions(follower):
+    start, tangent, step = np.array([0.2, -0.4, 0.6, 0.3, 0.1]), np.array([1.0, 0.5, -0.5, 0.2, 0.3]), 1e-6
     tracker, placement = follower.tracker(start), follower.pose(start)
     target = pin.SE3(placement.rotation @ pin.exp3(np.array([0.0, 0.0, 1.0])), placement.translation)
     assert np.abs(tracker.follow(start, target, 0.05) - start).max() <= 0.06
     assert np.abs(tracker.follow(start, target, 2.0) - start).max() > 0.5
-
-
-def test_the_speed_of_the_tip_is_that_of_its_positions(follower):
-    point, tangent, step = np.array([0.1, -0.4, 0.6, 0.3, 0.1]), np.array([1.0, 0.5, -0.5, 0.2, 0.3]), 1e-6
-    tracker = follower.tracker(point)
-    moved_m = apart_m(tracker.pose(point - step * tangent), tracker.pose(point + step * tangent))
-    assert tracker.speed_m(point, tangent) == pytest.approx(0.5 * moved_m / step, rel=1e-5)
+    moved_m = apart_m(tracker.pose(start - step * tangent), tracker.pose(start + step * tangent))
+    assert tracker.speed_m(start, tangent) == pytest.approx(0.5 * moved_m / step, rel=1e-5)

@@ -120,10 +120,11 @@ def test_a_problem_that_failed_is_the_same_when_it_is_read_again(tmp_path) -> No
         assert (one.id, one.problem) == ("goal-7", problem)
 
 
-def test_numbers_that_are_not_finite_survive(tmp_path) -> None:
+def test_numbers_that_are_not_finite_survive_and_files_with_different_scenes_have_different_versions(tmp_path) -> None:
     pose = replace(POSE, pose=Pose((math.nan, 0.0, 0.0)))
     # Joints without a start have none afterwards, and a group that does not exist is kept.
-    file = written(tmp_path / FILE, PlanningProblem("leg", {"elbow_flex": math.inf, "wrist_flex": 0.1}, pose))
+    asked = PlanningProblem("leg", {"elbow_flex": math.inf, "wrist_flex": 0.1}, pose)
+    file = written(tmp_path / FILE, asked)
     problem = file.problems[0].problem
     assert problem.group == "leg"
     assert math.isnan(problem.goal.pose.position_m[0])
@@ -131,17 +132,13 @@ def test_numbers_that_are_not_finite_survive(tmp_path) -> None:
     assert problem.start_rad["wrist_flex"] == 0.1
     assert math.isnan(problem.start_rad["gripper"])
     assert "NaN" not in (tmp_path / FILE).read_text()
+    other = written(tmp_path / FILE, asked, Scene(1, (SceneObject("box", ((BOX, Pose()),)),)))
+    assert other.scene.version != file.scene.version
     # A null is a number that is not finite.
     entry = {"id": "x", "start": [0.0] * 5, "goal": [0.0, None, 0.0, 0.0, 0.0], "accept_codes": [-16]}
     feasible, refused = read(tmp_path / FILE, minimal(infeasible=[entry])).problems
     assert math.isnan(refused.problem.goal.positions_rad["shoulder_lift"])
     assert (feasible.feasible, refused.feasible, refused.accept_codes) == (True, False, (-16,))
-
-
-def test_files_with_different_scenes_have_different_versions(tmp_path) -> None:
-    scenes = EMPTY_SCENE, Scene(1, (SceneObject("box", ((BOX, Pose()),)),))
-    files = [written(tmp_path / FILE, PlanningProblem("arm", REST, POINT), scene) for scene in scenes]
-    assert files[0].scene.version != files[1].scene.version
 
 
 def test_the_gripper_and_the_limits_of_a_file_or_of_the_robot_that_failed_hold(tmp_path) -> None:

@@ -83,17 +83,6 @@ def collision(robot):
     return CollisionModel(replace(robot, parts={}))
 
 
-def test_named_states_touch_nothing_and_colliding_pairs_name_the_links_deepest_first(robot, collision):
-    for name, positions_rad in robot.named_states["arm"].items():
-        for jaw_rad in (-0.17, 0.0, 1.7):
-            assert not collision.in_collision(state(collision, **positions_rad, gripper=jaw_rad)), name
-    pairs = collision.colliding_pairs(state(collision, **FOLDED_TOO_FAR))
-    assert {"shoulder_link", "lower_arm_link"} in [pair.links for pair in pairs]
-    depths_m = [pair.depth_m for pair in pairs]
-    assert depths_m == sorted(depths_m, reverse=True)
-    assert 0.0 < depths_m[0] < 0.03
-
-
 def test_no_verdict_depends_on_what_was_asked_before(robot, collision):
     # The search for a common point starts from hints that earlier questions left behind.
     rng = np.random.default_rng(3)
@@ -103,13 +92,21 @@ def test_no_verdict_depends_on_what_was_asked_before(robot, collision):
         assert bool(collision.colliding_pairs(q)) == bool(other.colliding_pairs(q))
 
 
-def test_tip_of_the_stretched_arm_is_where_it_was_measured(collision):
+def test_named_states_touch_nothing_and_colliding_pairs_name_the_links_deepest_first(robot, collision):
+    for name, positions_rad in robot.named_states["arm"].items():
+        for jaw_rad in (-0.17, 0.0, 1.7):
+            assert not collision.in_collision(state(collision, **positions_rad, gripper=jaw_rad)), name
+    pairs = collision.colliding_pairs(state(collision, **FOLDED_TOO_FAR))
+    assert {"shoulder_link", "lower_arm_link"} in [pair.links for pair in pairs]
+    depths_m = [pair.depth_m for pair in pairs]
+    assert depths_m == sorted(depths_m, reverse=True)
+    assert 0.0 < depths_m[0] < 0.03
     # Figures of the official description at all joints zero.
     tip_m = tip_positions_m(collision, [HOME], "gripper_frame_link")[0]
     np.testing.assert_allclose(tip_m, (0.391, 0.0, 0.226), atol=1e-3)
 
 
-def test_things_of_every_shape_are_touched_by_name(changing):
+def test_things_of_every_shape_are_touched_by_name(changing, robot):
     for shape in SHAPES:
         # The gripper is there at home, but for the plane, which is below.
         place_m = (0.0, 0.0, 1.0) if isinstance(shape, Plane) else (0.35, 0.0, 0.2)
@@ -117,22 +114,15 @@ def test_things_of_every_shape_are_touched_by_name(changing):
         pairs = [pair for pair in changing.colliding_pairs(HOME) if "thing" in pair.links]
         assert "gripper_link" in {name for pair in pairs for name in pair.links}, shape
         assert changing.in_collision(HOME), shape
-
-
-def test_a_table_in_the_plane_of_the_base_is_no_contact_with_the_base(changing):
-    changing.set_scene(scene(thing(Plane((0.0, 0.0, 1.0), 0.0))))
-    assert not changing.colliding_pairs(HOME)
-    assert changing.in_collision(state(changing, shoulder_lift=1.7))
-
-
-def test_a_box_around_the_whole_arm_touches_every_link_that_moves_and_a_room_of_triangles_is_free_inside(
-    robot, changing
-):
     changing.set_scene(scene(thing(Box((3.0, 3.0, 3.0)))))
     touching = {name for pair in changing.colliding_pairs(HOME) for name in pair.links}
     assert touching == {"thing", *robot.hulls} - {robot.root_link}
+    # A room of triangles is free inside, and a table in the plane of the base is no contact with the base.
     changing.set_scene(scene(thing(Mesh(30.0 * (CORNERS_M - 0.02), FACES))))
     assert not changing.colliding_pairs(HOME)
+    changing.set_scene(scene(thing(Plane((0.0, 0.0, 1.0), 0.0))))
+    assert not changing.colliding_pairs(HOME)
+    assert changing.in_collision(state(changing, shoulder_lift=1.7))
 
 
 def test_an_attached_object_moves_with_its_link_and_extends_the_reach(changing):
@@ -148,7 +138,7 @@ def test_an_attached_object_moves_with_its_link_and_extends_the_reach(changing):
     assert changing.travel_m_per_rad[0] > empty_handed[0] + 0.1
 
 
-def test_padding_and_scale_make_contacts_with_objects_only(changing):
+def test_padding_and_scale_make_contacts_with_objects_only_and_a_contact_is_where_both_things_are(changing):
     box = thing(Box((0.1, 0.1, 0.1)), 0.5, 0.0, 0.2)
     changing.set_scene(scene(box))
     assert not changing.in_collision(HOME)
@@ -159,9 +149,6 @@ def test_padding_and_scale_make_contacts_with_objects_only(changing):
     # Scaled links meet objects in their new size, and links in their own.
     changing.set_scene(scene(box, link_scale={"gripper_link": 3.0}))
     assert [pair.links for pair in changing.colliding_pairs(HOME)] == [{"gripper_link", "thing"}]
-
-
-def test_a_contact_is_where_both_things_are(changing):
     changing.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.42, 0.0, 0.226)))
     (pair,) = [pair for pair in changing.colliding_pairs(HOME) if "gripper_link" in pair.links]
     assert np.all(np.abs(np.array(pair.point_m) - (0.42, 0.0, 0.226)) <= 0.05 + pair.depth_m)
@@ -203,15 +190,12 @@ def test_many_points_are_enclosed_by_few_corners(seed, size_m, count):
     assert hull.computeVolume() < 1.2 * convex(points).computeVolume()
 
 
-def test_flat_points_get_a_thin_plate():
+def test_flat_points_get_a_thin_plate_and_a_corner_with_hundreds_of_neighbours_is_enclosed():
     for flat in ((1.0, 1.0, 0.0), (1.0, 1.0, 1e-9), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)):
         points = CUBE * flat
         hull = convex(points)
         assert outside_m(hull, points).max() < 0.0, flat
         assert np.max(np.ptp(hull.points(), axis=0) - np.ptp(points, axis=0)) <= 2.0 * shapes.PLATE_M + 1e-12, flat
-
-
-def test_a_corner_with_hundreds_of_neighbours_is_enclosed():
     angles = np.linspace(0.0, 2.0 * np.pi, 500, endpoint=False)
     cone = np.vstack((np.stack((np.cos(angles), np.sin(angles), 0.0 * angles), axis=1), [(0.0, 0.0, 1.0)]))
     with pytest.raises(RuntimeError, match="Too many neighbors"):
@@ -234,37 +218,33 @@ NEEDLE_M = np.array([(0, 0, 0), (0.3, 0, 0), (0, 0.02, 0), (0, 0, 0.02)])
 TETRAHEDRON = stl(NEEDLE_M[FACES]).encode()
 
 
-def test_a_robot_without_any_shape_or_with_a_mesh_that_is_gone_or_cannot_be_read_is_refused_in_one_line(tmp_path):
-    bare = model.parse(kinematic_urdf(model.parse(CRANE_URDF, CRANE_SRDF)), CRANE_SRDF)
-    with pytest.raises(ShapeError, match="no link has a collision shape"):
-        shapes_of(bare)
+def test_meshes_beside_the_urdf_are_replaced_by_hulls_and_one_gone_or_unreadable_is_refused_in_one_line(tmp_path):
+    for name in ("boom.stl", f"package://{tmp_path.name}/boom.stl"):
+        found = shapes_of(crane(tmp_path, TETRAHEDRON, name))
+        boom = next(shape for shape in found if shape.name.startswith("boom"))
+        assert isinstance(boom.geometry, coal.Convex)
+        assert len(shapes.outline(boom)) == 4
     robot = crane(tmp_path, TETRAHEDRON)
     (tmp_path / "boom.stl").unlink()
     with pytest.raises(ShapeError, match=r"boom\.stl"):
         shapes_of(robot)
     with pytest.raises(ShapeError, match=r": cannot be loaded: Could not load resource \S+/boom\.stl [^\n]+$"):
         shapes_of(crane(tmp_path, bytes(200)))
+    # So is a robot without any shape.
+    bare = model.parse(kinematic_urdf(model.parse(CRANE_URDF, CRANE_SRDF)), CRANE_SRDF)
+    with pytest.raises(ShapeError, match="no link has a collision shape"):
+        shapes_of(bare)
 
 
-def test_meshes_are_found_beside_the_urdf_and_replaced_by_hulls(tmp_path):
-    for name in ("boom.stl", f"package://{tmp_path.name}/boom.stl"):
-        found = shapes_of(crane(tmp_path, TETRAHEDRON, name))
-        boom = next(shape for shape in found if shape.name.startswith("boom"))
-        assert isinstance(boom.geometry, coal.Convex)
-        assert len(shapes.outline(boom)) == 4
-
-
-def test_a_scaled_shape_grows_about_its_middle():
+def test_a_scaled_shape_grows_about_its_middle_and_a_plane_is_solid_below():
     for shape in (coal.Box(0.1, 0.2, 0.3), convex(np.random.default_rng(1).normal(size=(20, 3)))):
         larger = shapes.scaled(shape, 1.5)
         for each in (shape, larger):
             each.computeLocalAABB()
         middle = 0.5 * (shape.aabb_local.min_ + shape.aabb_local.max_)
-        np.testing.assert_allclose(larger.aabb_local.min_ - middle, 1.5 * (shape.aabb_local.min_ - middle), atol=1e-9)
-        np.testing.assert_allclose(larger.aabb_local.max_ - middle, 1.5 * (shape.aabb_local.max_ - middle), atol=1e-9)
-
-
-def test_a_plane_is_solid_below_and_ends_at_its_surface():
+        for end in ("min_", "max_"):
+            grown, before = (getattr(each.aabb_local, end) - middle for each in (larger, shape))
+            np.testing.assert_allclose(grown, 1.5 * before, atol=1e-9)
     for normal in ((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), (1.0, 2.0, -2.0)):
         box, place = shapes.solid(Plane(normal, 0.3), 1.0)
         up = np.array(normal) / np.linalg.norm(normal)

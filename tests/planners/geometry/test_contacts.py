@@ -41,8 +41,10 @@ def distances_m(broadphase, q):
     return np.array([broadphase.distance_m(pair) for pair in range(len(broadphase._pairs))])
 
 
-def test_touching_is_overlapping(crowded):
+@pytest.mark.parametrize("few", [0, FEW_SHAPES])
+def test_touching_is_overlapping_among_few_and_many_shapes(crowded, monkeypatch, few):
     build, states = crowded
+    monkeypatch.setattr("planners.geometry.broadphase.FEW_SHAPES", few)
     broadphase, fresh, verdicts = build(), build(), set()
     for q in states:
         expected = fresh.touching(q)
@@ -51,20 +53,11 @@ def test_touching_is_overlapping(crowded):
         assert not broadphase.touches(q, frozenset(expected)), "these are left out"
         assert list(broadphase.touching_among(q, range(len(broadphase._pairs)))) == expected
         # What was found before, elsewhere and among some of the pairs, leaves nothing behind.
-        assert broadphase.touching(q) == expected
+        assert broadphase.touching(q) == expected == np.flatnonzero(distances_m(broadphase, q) < 0.0).tolist()
         alone = broadphase.near_among(q, range(0, len(broadphase._pairs), 2), np.zeros(len(broadphase._pairs[::2])))
         assert [pair for pair, _ in alone] == [i for i in expected if i % 2 == 0]
         verdicts.add(bool(expected))
     assert verdicts == {True, False}
-
-
-@pytest.mark.parametrize("few", [0, FEW_SHAPES])
-def test_few_and_many_shapes_are_searched_alike(crowded, monkeypatch, few):
-    build, states = crowded
-    monkeypatch.setattr("planners.geometry.broadphase.FEW_SHAPES", few)
-    broadphase = build()
-    for q in states:
-        assert broadphase.touching(q) == np.flatnonzero(distances_m(broadphase, q) < 0.0).tolist()
 
 
 @pytest.mark.parametrize("margins_m", [(0.02, 0.02), (0.0, 0.1)], ids=str)
@@ -157,11 +150,15 @@ def test_parts_are_nearer_than_a_margin_when_any_two_of_them_are(margin_m):
     assert verdicts == {True, False}
 
 
-def test_parts_are_there_before_they_are_needed(robot, monkeypatch):
-    collision = CollisionModel(robot)
-    collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
+def test_the_folded_arm_is_free_by_its_parts_which_are_there_before_they_are_needed(robot, collision, monkeypatch):
+    for jaw_rad in (0.35, 0.0):
+        q = np.array([0.0, -1.745, 1.55, 0.9, 0.0, jaw_rad])
+        assert not collision.colliding_pairs(q)
+        assert JointSpace(collision, robot.groups["arm"].joints, q).free(q[:5])
+    blocked = CollisionModel(robot)
+    blocked.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
     monkeypatch.setattr("planners.geometry.parts.convex", None)
-    assert collision.colliding_pairs(HOME)
+    assert blocked.colliding_pairs(HOME)
 
 
 def test_a_motion_out_of_a_gap_is_judged_by_the_mesh(crane):
@@ -188,13 +185,6 @@ def test_parts_and_hulls_of_the_builtin_arm_cover_its_surfaces(robot):
         points_m = (points_m - place.translation) @ place.rotation
         for covering in (robot.parts[link], [robot.hulls[link].vertices]):
             assert np.min([outside_m(convex(part), points_m) for part in covering], axis=0).max() < UNIT_M
-
-
-def test_the_folded_arm_is_free_by_its_parts(robot, collision):
-    for jaw_rad in (0.35, 0.0):
-        q = np.array([0.0, -1.745, 1.55, 0.9, 0.0, jaw_rad])
-        assert not collision.colliding_pairs(q)
-        assert JointSpace(collision, robot.groups["arm"].joints, q).free(q[:5])
 
 
 def with_part(crane):
@@ -268,6 +258,13 @@ def test_near_pairs_are_found_far_ones_are_not_and_links_and_objects_are_told_ap
     for (_, second), pair in found.items():
         assert pair.by_object == (second in ("left", "above", "floor"))
     assert any(not pair.by_object for pair in found.values())
+    # Two that overlap get apart against the slope.
+    among_balls.set_scene(scene(thing(Plane((0.0, 0.0, 1.0), 0.0), name="floor")))
+    q = np.array([0.0, 1.2, -0.4, 0.6, 0.0, 0.0])
+    deep = min(among_balls.near_pairs(q, WITHIN_M), key=lambda pair: pair.distance_m)
+    assert deep.distance_m < 0.0
+    moved = near(among_balls, q + 0.01 * deep.distance_gradient / np.linalg.norm(deep.distance_gradient))
+    assert moved[deep.first, deep.second].distance_m > deep.distance_m
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -280,12 +277,3 @@ def test_the_slope_of_a_distance_is_how_it_grows(among_balls, seed):
     for names in (names for names in both if names[1] in ("left", "above") and here[names].distance_m > 0.0):
         grown_m = there[names].distance_m - back[names].distance_m
         assert grown_m == pytest.approx(2.0 * here[names].distance_gradient @ step, abs=2e-5)
-
-
-def test_two_that_overlap_get_apart_against_the_slope(changing):
-    changing.set_scene(scene(thing(Plane((0.0, 0.0, 1.0), 0.0), name="floor")))
-    q = np.array([0.0, 1.2, -0.4, 0.6, 0.0, 0.0])
-    deep = min(changing.near_pairs(q, WITHIN_M), key=lambda pair: pair.distance_m)
-    assert deep.distance_m < 0.0
-    moved = near(changing, q + 0.01 * deep.distance_gradient / np.linalg.norm(deep.distance_gradient))
-    assert moved[deep.first, deep.second].distance_m > deep.distance_m

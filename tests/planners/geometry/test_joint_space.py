@@ -33,7 +33,7 @@ def test_limits_are_those_of_the_model_and_continuous_joints_get_one_turn_either
         assert found == pytest.approx(limits)
 
 
-def test_joints_may_come_in_any_order(robot, collision):
+def test_joints_may_come_in_any_order_and_those_of_a_group_need_not_stand_in_a_row(robot, collision):
     names = collision.joint_names
     forward, backward = ForwardKinematics(robot, names), ForwardKinematics(robot, names[::-1])
     q = np.linspace(-0.5, 0.5, 6)
@@ -41,6 +41,13 @@ def test_joints_may_come_in_any_order(robot, collision):
     backward.place(q[::-1])
     for link in robot.links:
         np.testing.assert_array_equal(forward.placement(link).homogeneous, backward.placement(link).homogeneous)
+    ends = '<group name="ends"><joint name="turn"/><joint name="slide"/></group></robot>'
+    crane = model.parse(CRANE_URDF, CRANE_SRDF.replace("</robot>", ends))
+    collision = CollisionModel(crane)
+    space = JointSpace(collision, crane.groups["ends"].joints, np.array([0.0, 0.3, 0.0]))
+    assert collision.joint_names == ("turn", "lift", "slide")
+    assert len(space.point(np.zeros(3))) == 2
+    assert line_free(space, np.array([0.0, 0.0]), np.array([1.0, 0.1]))
 
 
 class Arm:
@@ -166,6 +173,17 @@ def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(space_in, chang
     assert line_free(space, HOME, up)
     assert not line_free(space, HOME, down)
     assert space.contacts(down)
+    # So may an arm without meshes.
+    collision = CollisionModel(CRANE)
+    collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.2, 0.0, 0.215)))
+    start = np.zeros(3)
+    space = JointSpace(collision, CRANE.groups["arm"].joints, start, collision.overlaps_m(start))
+    assert space.free(start)
+    # The margin is far wider than the clearance, and no parts are known that could be further apart.
+    ((_, clearance_m),) = space.near(start, np.full(len(space.approach_m_per_rad), 0.05))
+    assert 0.0 < clearance_m < 0.001
+    assert line_free(space, start, np.array([0.0, -0.5, 0.0]))
+    assert not line_free(space, start, np.array([0.0, 0.3, 0.0]))
 
 
 def test_an_allowed_contact_does_not_come_again_further_on(changing, arm):
@@ -189,27 +207,3 @@ def test_an_allowed_contact_does_not_come_again_further_on(changing, arm):
     assert any(
         clearance_m <= 0.0 for _, clearance_m in space.near(TURNED, np.full(len(space.approach_m_per_rad), 0.01))
     )
-
-
-def test_joints_of_a_group_need_not_stand_in_a_row():
-    ends = '<group name="ends"><joint name="turn"/><joint name="slide"/></group></robot>'
-    crane = model.parse(CRANE_URDF, CRANE_SRDF.replace("</robot>", ends))
-    collision = CollisionModel(crane)
-    space = JointSpace(collision, crane.groups["ends"].joints, np.array([0.0, 0.3, 0.0]))
-    assert collision.joint_names == ("turn", "lift", "slide")
-    assert len(space.point(np.zeros(3))) == 2
-    assert line_free(space, np.array([0.0, 0.0]), np.array([1.0, 0.1]))
-
-
-def test_an_arm_without_meshes_may_leave_an_allowed_contact_but_not_deepen_it():
-    crane = model.parse(CRANE_URDF, CRANE_SRDF)
-    collision = CollisionModel(crane)
-    collision.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.2, 0.0, 0.215)))
-    start = np.zeros(3)
-    space = JointSpace(collision, crane.groups["arm"].joints, start, collision.overlaps_m(start))
-    assert space.free(start)
-    # The margin is far wider than the clearance, and no parts are known that could be further apart.
-    ((_, clearance_m),) = space.near(start, np.full(len(space.approach_m_per_rad), 0.05))
-    assert 0.0 < clearance_m < 0.001
-    assert line_free(space, start, np.array([0.0, -0.5, 0.0]))
-    assert not line_free(space, start, np.array([0.0, 0.3, 0.0]))

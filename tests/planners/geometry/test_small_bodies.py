@@ -102,19 +102,11 @@ def test_a_small_body_of_any_shape_inside_a_link_is_in_contact_with_it(changing,
         assert {"thing", name} in [pair.links for pair in changing.colliding_pairs(HOME)]
 
 
-@pytest.fixture
-def in_the_gripper(links):
-    """A small sphere inside of the gripper's link."""
-    return thing(Sphere(0.001), *place_in_the_material(*links["gripper_link"], np.random.default_rng(2)))
-
-
-def test_a_small_attached_body_inside_another_link_is_in_contact_with_it(robot, changing, in_the_gripper) -> None:
-    changing.set_scene(scene(attached=(AttachedObject(in_the_gripper, robot.root_link),)))
+def test_a_small_body_inside_a_link_touches_it_attached_and_along_a_motion(robot, arm, changing, links) -> None:
+    place_m = place_in_the_material(*links["gripper_link"], np.random.default_rng(2))
+    changing.set_scene(scene(attached=(AttachedObject(thing(Sphere(0.001), *place_m), robot.root_link),)))
     assert {"thing", "gripper_link"} in [pair.links for pair in changing.colliding_pairs(HOME)]
-
-
-def test_no_motion_is_certified_along_which_a_small_body_stays_inside_a_link(arm, changing, in_the_gripper) -> None:
-    changing.set_scene(scene(in_the_gripper))
+    changing.set_scene(scene(thing(Sphere(0.001), *place_m)))
     # The surface moves by 0.02 mm at most, so it never touches the sphere.
     start, end, rest = np.zeros(5), np.array([0.0, 0.0, 0.0, 0.0, 1e-4]), np.zeros((2, 5))
     space = JointSpace(changing, arm.joints, HOME)

@@ -38,14 +38,12 @@ def violated(condition, turn_rad=(0.0, 0.0, 0.0), position_m=(0.0, 0.0, 0.0)):
     return condition.violation(condition.error(placed)).any()
 
 
-def test_box_region_lies_along_its_own_axes():
+def test_box_region_lies_along_its_own_axes_and_an_axis_does_not_mind_turns_about_itself():
     quarter = pin.exp3(np.array([0.0, 0.0, np.pi / 2]))
     region = constraints.PointCondition("tip", np.zeros(3), np.zeros(3), quarter, np.array([0.3, 0.1, 0.1]))
     assert not violated(region, position_m=(0.0, 0.25, 0.0))
     assert violated(region, position_m=(0.25, 0.0, 0.0))
-
-
-def test_axis_that_is_parallel_or_opposite_has_a_finite_way_and_does_not_mind_turns_about_itself():
+    # One that is parallel or opposite has a finite way.
     for direction, angle in ((UP, 0.0), (-UP, np.pi)):
         error = AxisCondition("tip", UP, direction, 0.1).error(pin.SE3.Identity())
         assert np.linalg.norm(error) == pytest.approx(angle)
@@ -79,9 +77,7 @@ def test_a_pose_of_a_configuration_holds_there_and_not_elsewhere(forward, collis
         turned = q + 0.1 * np.eye(6)[collision.joint_names.index("wrist_roll")]
         assert not wanted.holds(turned)
         assert wanted.deviation(turned).orientation_rad == pytest.approx(0.1, abs=1e-6)
-
-
-def test_directions_are_taken_as_unit_vectors(forward, collision):
+    # Directions are taken as unit vectors.
     pose = pose_of(forward, HOME)
     axis = constraints.rotation(pose.orientation)[:, 2]
     goal = AxisGoal(TIP, pose.position_m, 0.001, (0.0, 0.0, 1.0005), tuple(0.9995 * axis), 0.01)
@@ -145,7 +141,7 @@ def test_the_solution_keeps_every_inequality_and_is_optimal(seed):
     assert (pushes >= -1e-5).all()
 
 
-def test_a_task_of_lower_priority_changes_nothing_about_the_first_and_keeps_the_limit():
+def test_a_task_of_lower_priority_changes_nothing_about_the_first_and_of_two_alike_the_costlier_is_met_better():
     chance = np.random.default_rng(2)
     jacobian, angular = chance.normal(size=(2, 3, 6))
     wanted = Task(jacobian, np.array([0.1, 0.2, -0.1]))
@@ -156,9 +152,6 @@ def test_a_task_of_lower_priority_changes_nothing_about_the_first_and_keeps_the_
     assert np.linalg.norm(angular @ both - 1.0) < np.linalg.norm(angular @ first - 1.0)
     assert active.size
     assert np.abs(both).max() <= 0.3 + 1e-9
-
-
-def test_of_two_tasks_alike_the_costlier_is_met_better():
     tasks = [Task(np.eye(2), np.zeros(2)), Task(np.eye(2), np.ones(2), 3.0)]
     assert solve(tasks, 1e-6)[0] == pytest.approx([0.9, 0.9])
 
@@ -213,14 +206,6 @@ def seven():
     return Bench(model.parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF), "tool")
 
 
-def test_points_of_two_links_that_use_the_same_frame_are_told_apart(so101):
-    goals = [PositionGoal(link, (0.2, 0.1, 0.15), 0.001, (0.01, 0.0, 0.02)) for link in (TIP, "wrist_link")]
-    wanted = [goal_conditions(goal, so101.collision) for goal in goals]
-    descents = [Descent(so101.kinematics, so101.arm, each) for each in wanted]
-    for each, descent in zip(wanted, descents, strict=True):
-        assert ConditionSet(so101.forward, each.required).holds(descent(HOME))
-
-
 @pytest.mark.parametrize("kind", ["point", "offset", "axis", "pose"])
 @pytest.mark.parametrize("arm_name", ["so101", "seven"])
 def test_the_goal_of_a_nearby_configuration_is_reached(arm_name, kind, request):
@@ -235,15 +220,13 @@ def test_the_goal_of_a_nearby_configuration_is_reached(arm_name, kind, request):
     assert reached >= 23
 
 
-def test_tolerances_are_used_where_the_middle_cannot_be_had(so101):
+def test_tolerances_are_used_where_the_middle_cannot_be_had_and_weights_decide_what_cannot_both_hold(so101):
     # To the middle of the region the arm would have to turn the other way than its joint may.
     region = Region(TIP, Pose((0.3, -0.4, 0.2)), half_size_m=(0.5, 0.7, 0.5))
     joint = JointConstraint("shoulder_pan", -0.8, 0.3, 0.3)
     descent, holds = so101.descent(joints=(joint,), positions=(region,))
     assert holds(descent(HOME))
 
-
-def test_weights_decide_between_what_cannot_both_hold(so101):
     def height_m(weight):
         high = Region(TIP, Pose((0.3, 0.0, 0.3)), radius_m=0.01, weight=weight)
         low = Region(TIP, Pose((0.3, 0.0, 0.2)), radius_m=0.01)
@@ -253,7 +236,12 @@ def test_weights_decide_between_what_cannot_both_hold(so101):
     assert height_m(0.2) < height_m(1.0) - 0.02 < height_m(5.0) - 0.04
 
 
-def test_inside_is_near_and_none_where_there_is_none(so101):
+def test_points_of_links_that_use_the_same_frame_are_told_apart_and_inside_is_near_if_it_is_anywhere(so101):
+    goals = [PositionGoal(link, (0.2, 0.1, 0.15), 0.001, (0.01, 0.0, 0.02)) for link in (TIP, "wrist_link")]
+    wanted = [goal_conditions(goal, so101.collision) for goal in goals]
+    descents = [Descent(so101.kinematics, so101.arm, each) for each in wanted]
+    for each, descent in zip(wanted, descents, strict=True):
+        assert ConditionSet(so101.forward, each.required).holds(descent(HOME))
     near = np.array([0.0, -0.2, 0.3, 1.3, 0.2, 0.0])
     descent, holds = so101.descent(orientations=(Orientation(TIP, (1.0, 0.0, 0.0, 0.0), (0.1, 0.1, 3.2)),))
     inside = descent.inside(near)

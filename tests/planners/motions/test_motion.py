@@ -76,20 +76,30 @@ def task_between(joint_space, arm, rate_limits):
     return task
 
 
-def test_the_first_goal_with_a_free_line_is_taken(task_between):
+def test_the_first_goal_with_a_free_line_is_taken_and_a_search_named_as_moveit_spells_it(task_between):
     start, behind = BLOCKED_LINES[0]
     motion = found(task_between(start, behind, HOME, READY))
     assert motion.goal == 1
     np.testing.assert_array_equal(motion.trajectory.positions_rad[-1], HOME)
+    assert found(task_between(*BLOCKED_LINES[1], planner_id="geometric::RRTkConfigDefault")).method == "RRT"
+    # An unknown one is a bug of the caller.
+    with pytest.raises(ValueError, match="AORRTC"):
+        found(task_between(*BLOCKED_LINES[1], planner_id="AORRTC"))
 
 
-@pytest.mark.parametrize("scaling", [1e-6, 1e-12])
-def test_a_motion_that_would_take_too_long_is_refused_before_it_is_sampled(task_between, rate_limits, scaling):
-    slow = replace(rate_limits, velocity_rad_s=scaling * rate_limits.velocity_rad_s)
-    failure = found(task_between(HOME, READY, limits=slow))
-    assert failure.code is Code.FAILURE
-    assert "s at least, more than the limit of 1800 s: raise the velocity and acceleration scaling" in failure.message
-    assert failure.details["least_s"] > MAX_DURATION_S
+def test_a_motion_too_long_or_of_an_arm_too_fast_to_stop_is_refused(task_between, joint_space, rate_limits):
+    for scaling in (1e-6, 1e-12):
+        slow = replace(rate_limits, velocity_rad_s=scaling * rate_limits.velocity_rad_s)
+        failure = found(task_between(HOME, READY, limits=slow))
+        assert failure.code is Code.FAILURE
+        assert "s at least, more than the limit of 1800 s: raise the velocity and acceleration sca" in failure.message
+        assert failure.details["least_s"] > MAX_DURATION_S
+    start = READY.copy()
+    start[0] = joint_space.upper_rad[0] - 0.01
+    velocity = np.array([rate_limits.velocity_rad_s[0], 0.0, 0.0, 0.0, 0.0])
+    failure = found(task_between(start, READY, velocity=velocity))
+    assert failure.code is Code.START_STATE_INVALID
+    assert "joint limits" in failure.message
 
 
 @pytest.mark.parametrize("blocked", BLOCKED_LINES)
@@ -184,14 +194,26 @@ def test_of_ever_shorter_motions_the_last_that_is_free_is_found_in_few_trials(mo
     assert tried == [11, 0, 11], "where the first touches, another is searched for"
 
 
-def test_the_work_that_is_asked_for_is_spent_and_little_more(task_over_a_wall):
+def test_a_path_that_touches_between_the_checks_of_its_search_is_not_shortened(monkeypatch, task_over_a_wall):
+    task, searched = task_over_a_wall(), []
+    through_the_wall = np.array([task.start, 0.5 * (task.start + task.goals[0]), task.goals[0]])
+    found_first = iter([through_the_wall])
+
+    def watched(curve, *others):
+        searched.append(curve)
+        return smooth(curve, *others)
+
+    monkeypatch.setattr(motion, "via_point", lambda *_: next(found_first, None))
+    monkeypatch.setattr(motion, "smooth", watched)
+    assert found(task).method != VIA_POINT
+    assert len(searched) == 1
+
+
+def test_the_work_asked_for_is_spent_and_by_the_best_motion_all_the_time(task_over_a_wall, collision, at_home):
     first = work(task_over_a_wall(optimization_time_s=0.0))
     for time_s in (0.1, 0.3):
         spent = work(task_over_a_wall(optimization_time_s=time_s))
         assert time_s * NOMINAL_CHECKS_PER_S <= spent <= time_s * NOMINAL_CHECKS_PER_S + first + CHECKS_A_CERTIFICATE
-
-
-def test_the_best_motion_takes_all_the_time_that_is_allowed_and_is_no_longer(task_over_a_wall, collision, at_home):
     task = task_over_a_wall(optimization_time_s=np.inf, attempts=1)
     clock = Budget(lambda: task.space.checks / NOMINAL_CHECKS_PER_S, 0.4, never)
     best = find_motion(task, clock)
@@ -199,11 +221,8 @@ def test_the_best_motion_takes_all_the_time_that_is_allowed_and_is_no_longer(tas
     assert_touches_nothing(best.trajectory, collision, at_home)
     short = found(replace(task, optimization_time_s=0.024))
     assert best.trajectory.duration_s <= short.trajectory.duration_s
-
-
-def test_a_request_that_is_cancelled_while_its_motion_is_shortened_has_none(task_over_a_wall):
+    # A request that is cancelled while its motion is shortened has none.
     task = task_over_a_wall(optimization_time_s=np.inf)
-    first = work(replace(task, optimization_time_s=0.0))
     last = task.space.checks + 10 * first
     budget = Budget(lambda: 0.0, 1.0, lambda: task.space.checks >= last)
     find_motion(task, budget)
@@ -219,12 +238,6 @@ def test_same_seed_gives_the_same_motion_whatever_the_clock_says(task_between):
     np.testing.assert_array_equal(first.time_s, again.time_s)
 
 
-def test_a_search_is_named_as_moveit_spells_it_and_an_unknown_one_is_a_bug_of_the_caller(task_between):
-    assert found(task_between(*BLOCKED_LINES[1], planner_id="geometric::RRTkConfigDefault")).method == "RRT"
-    with pytest.raises(ValueError, match="AORRTC"):
-        found(task_between(*BLOCKED_LINES[1], planner_id="AORRTC"))
-
-
 @pytest.mark.parametrize("line", [(HOME, READY), *BLOCKED_LINES])
 def test_a_moving_start_is_taken_over_smoothly(task_between, collision, rate_limits, at_home, line):
     velocity = 0.3 * np.array([1.0, -1.0, 0.5, 1.0, -1.0]) * rate_limits.velocity_rad_s
@@ -233,18 +246,7 @@ def test_a_moving_start_is_taken_over_smoothly(task_between, collision, rate_lim
     np.testing.assert_array_equal(trajectory.velocities_rad_s[[0, -1]], [velocity, HOME])
     assert_keeps_rates(trajectory, rate_limits)
     assert_touches_nothing(trajectory, collision, at_home)
-
-
-def test_an_arm_too_fast_to_stop_is_refused_at_once(task_between, joint_space, rate_limits):
-    start = READY.copy()
-    start[0] = joint_space.upper_rad[0] - 0.01
-    velocity = np.array([rate_limits.velocity_rad_s[0], 0.0, 0.0, 0.0, 0.0])
-    failure = found(task_between(start, READY, velocity=velocity))
-    assert failure.code is Code.START_STATE_INVALID
-    assert "joint limits" in failure.message
-
-
-def test_a_moving_start_with_jerk_limits_is_left_without_a_step(task_between, rate_limits):
+    # With jerk limits it is left without a step.
     limits = replace(rate_limits, jerk_rad_s3=np.full(5, 60.0))
     velocity = 0.3 * rate_limits.velocity_rad_s
     trajectory = found(task_between(HOME, READY, velocity=velocity, limits=limits)).trajectory
@@ -256,7 +258,10 @@ def test_a_moving_start_with_jerk_limits_is_left_without_a_step(task_between, ra
     assert np.abs(np.diff(accelerations, axis=0)).max() <= 0.001 * 60.0 * 1.001
 
 
-def test_a_search_goes_on_until_it_is_given_up_for_another_after_many_checks(task_between, monkeypatch):
+def test_a_search_goes_on_until_it_is_given_up_for_another_its_time_is_up_or_nobody_waits(task_between, monkeypatch):
+    clock, task = iter(np.arange(0.0, 10.0, 0.5)), task_between(*BLOCKED_LINES[0])
+    assert found(task, lambda: float(next(clock))).code is Code.TIMED_OUT
+    assert found(task, should_stop=lambda: True).code is Code.PREEMPTED
     turns = []
 
     class Vain:
@@ -273,9 +278,3 @@ def test_a_search_goes_on_until_it_is_given_up_for_another_after_many_checks(tas
     task = task_between(*BLOCKED_LINES[0], planner_id="RRT")
     assert found(task, lambda: float(len(turns)), 12.0).code is Code.TIMED_OUT
     assert turns == [0, 0, 0, 3, 3, 3, 6, 6, 6, 9, 9, 9]
-
-
-def test_a_search_ends_when_its_time_is_up_or_nobody_waits_for_it(task_between):
-    clock, task = iter(np.arange(0.0, 10.0, 0.5)), task_between(*BLOCKED_LINES[0])
-    assert found(task, lambda: float(next(clock))).code is Code.TIMED_OUT
-    assert found(task, should_stop=lambda: True).code is Code.PREEMPTED

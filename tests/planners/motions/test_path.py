@@ -86,17 +86,14 @@ DETOUR = np.array([HOME, [0.5, -0.2, 0.3, 0.1, 0.0], [-0.4, -0.6, 0.2, 0.0, 0.3]
 LIMITS = RateLimits(np.full(5, 3.0), np.full(5, 10.0))
 
 
-def test_detours_that_a_free_line_passes_by_are_left_out_and_nothing_is_free_once_the_search_is_stopped(joint_space):
+def test_detours_that_a_free_line_passes_by_are_left_out_and_lines_and_curves_blocked_by_the_arm_itself(joint_space):
     without_detours(joint_space, DETOUR[:2], STEP_M)
     # The edges of a path are known to be free.
     assert joint_space.checks == 0
     np.testing.assert_array_equal(without_detours(joint_space, DETOUR, STEP_M), [HOME, READY])
     np.testing.assert_array_equal(without_detours(joint_space, DETOUR, STEP_M, lambda: True), DETOUR)
-    assert not curve_free(joint_space, line(HOME, READY, LIMITS), STEP_M, lambda: True)
-
-
-def test_a_curve_or_a_line_that_is_looked_at_sparsely_is_blocked_by_the_arm_itself(joint_space):
     assert curve_free(joint_space, line(HOME, READY, LIMITS), STEP_M)
+    assert not curve_free(joint_space, line(HOME, READY, LIMITS), STEP_M, lambda: True)
     assert paths.line_free_sparsely(joint_space, HOME, READY, STEP_M)
     for start, goal in BLOCKED:
         assert not curve_free(joint_space, line(start, goal, LIMITS), STEP_M)
@@ -108,11 +105,16 @@ def test_a_curve_or_a_line_that_is_looked_at_sparsely_is_blocked_by_the_arm_itse
     assert not curve_free(joint_space, line(READY, beyond, LIMITS), STEP_M)
 
 
-def test_every_piece_of_a_line_is_looked_at_once_and_its_end_first():
+def test_every_piece_of_a_line_is_looked_at_once_and_its_end_first_and_a_curve_is_free_if_it_is_at_steps():
     for pieces in (1, 2, 3, 7, 16):
         shares = paths.coarse_first(pieces).ravel()
         assert shares[0] == 1.0
         assert sorted(shares) == pytest.approx(np.arange(1, pieces + 1) / pieces)
+    # In the way is a wire thinner than the gaps between a curve's first samples.
+    square = Walled()
+    square.free = lambda point: abs(point[0] - 0.13) > 0.006
+    for end, step_m, is_free in ((EAST, 0.01, False), (EAST, 0.5, True), (MIDDLE, 0.01, True)):
+        assert curve_free(square, line(WEST, end, RateLimits(np.ones(2), np.ones(2))), step_m) == is_free
 
 
 TIP = "gripper_frame_link"
@@ -121,9 +123,7 @@ DOWN = Constraints(orientations=(OrientationConstraint(TIP, (1.0, 0.0, 0.0, 0.0)
 LEFT, RIGHT = np.array([0.8, 0.0, 0.0, 1.57, 0.0, 0.0]), np.array([-0.8, 0.3, 0.0, 1.27, 0.0, 0.0])
 
 
-def test_path_leads_from_start_to_goal_where_the_condition_holds_and_a_search_that_is_stopped_has_none(
-    goal_states, collision, arm
-):
+def test_path_leads_from_start_to_goal_where_the_condition_holds_unless_stopped(goal_states, collision, arm):
     holds = ConditionSet(goal_states.forward, conditions(DOWN, collision)).holds
     start, goal = (goal_states.projection(arm, DOWN, q)(q[:5]) for q in (LEFT, RIGHT))
     space = JointSpace(collision, arm.joints, np.zeros(6), holds=holds)
@@ -156,13 +156,6 @@ class Walled:
         return abs(point[0]) > 0.1 or self.gap[0] < point[1] < self.gap[1]
 
 
-class Wire(Walled):
-    """A square with a wire in the way, thinner than the gaps between a curve's first samples."""
-
-    def free(self, point):
-        return abs(point[0] - 0.13) > 0.006
-
-
 class WalledRoom(Walled):
     """As the square, with four more axes along which nothing is in the way."""
 
@@ -170,11 +163,6 @@ class WalledRoom(Walled):
 
 
 WEST, MIDDLE, EAST = np.array([[-0.8, 0.0], [0.1, 0.0], [0.8, 0.0]])
-
-
-def test_a_curve_is_free_if_it_is_at_steps():
-    for end, step_m, is_free in ((EAST, 0.01, False), (EAST, 0.5, True), (MIDDLE, 0.01, True)):
-        assert curve_free(Wire(), line(WEST, end, RateLimits(np.ones(2), np.ones(2))), step_m) == is_free
 
 
 def test_a_narrow_gap_takes_fewer_checks_where_blocked_points_only_go_to_points_nearby(monkeypatch):
@@ -197,7 +185,7 @@ def way(space, should_stop=never):
     return via_point(asked, np.array([1.0, 1.0]), np.random.default_rng(0), should_stop)
 
 
-def test_the_path_leads_through_the_gap_from_the_start_to_the_goal():
+def test_the_path_leads_through_the_gap_or_the_search_gives_up_after_some_checks():
     path = way(Walled(0.3, 0.9))
     np.testing.assert_array_equal(path[[0, 2]], [WEST, EAST])
     shares = np.linspace(0.0, 1.0, 200)[:, np.newaxis]
@@ -205,9 +193,6 @@ def test_the_path_leads_through_the_gap_from_the_start_to_the_goal():
     # Between two points that were checked the path may be a step deep in the wall.
     wider = Walled(0.3 - WALL_STEP_M, 0.9 + WALL_STEP_M)
     assert all(wider.free(point) or abs(point[0]) > 0.1 - WALL_STEP_M for point in on_it)
-
-
-def test_where_no_line_is_free_the_search_gives_up_after_some_checks_and_where_it_is_stopped_it_makes_none():
     space = Walled(2.0, 2.0)
     assert way(space) is None
     one_line = np.ceil(4.0 / WALL_STEP_M)
@@ -247,14 +232,9 @@ def straight(*goal, points=9):
     return np.linspace(0.0, 1.0, points)[:, np.newaxis] * np.array(goal)
 
 
-def test_a_motion_that_would_take_too_long_is_not_sampled() -> None:
-    slow = RateLimits(TIMING_LIMITS.velocity_rad_s, 1e-9 * TIMING_LIMITS.acceleration_rad_s2)
-    assert time_along(spline(straight(1.0, 0.5, -0.5)), NAMES, slow) is None
-
-
 @given(polylines, st.floats(0.05, 1.0))
 @examples(60)
-def test_every_curve_is_timed_from_rest_to_rest_within_the_limits_and_a_top_rate_is_kept(points, top_rate):
+def test_every_curve_is_timed_and_followed_from_rest_to_rest_within_the_limits_and_a_top_rate(points, top_rate):
     path = spline(points)
     motion = time_along(path, NAMES, TIMING_LIMITS)
     assert motion is not None
@@ -263,17 +243,14 @@ def test_every_curve_is_timed_from_rest_to_rest_within_the_limits_and_a_top_rate
     assert_keeps_rates(motion, TIMING_LIMITS)
     profile = toppra_profile(path, TIMING_LIMITS, np.full(len(path.grid), top_rate))
     assert profile.rate.max() <= top_rate * (1.0 + 1e-6)
-
-
-@given(polylines)
-@examples(20)
-def test_the_motion_stays_on_the_curve(points):
-    path = spline(points)
     along = path(np.linspace(0.0, path.knots[-1], 1000))
-    positions, _, _ = fine_samples(time_along(path, NAMES, TIMING_LIMITS), per_interval=3)
+    positions, _, _ = fine_samples(motion, per_interval=3)
     off = [np.min(np.linalg.norm(along - position, axis=1)) for position in positions[::25]]
     spacing = np.linalg.norm(np.diff(along, axis=0), axis=1).max()
     assert max(off) < 0.5 * spacing + 1e-4
+    # One that would take too long is not sampled.
+    slow = RateLimits(TIMING_LIMITS.velocity_rad_s, 1e-9 * TIMING_LIMITS.acceleration_rad_s2)
+    assert time_along(path, NAMES, slow) is None
 
 
 @given(st.tuples(*[coordinates] * 3).map(np.array).filter(lambda goal: np.abs(goal).max() > 0.01))

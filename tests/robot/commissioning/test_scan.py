@@ -32,7 +32,7 @@ def explained(*ids):
     return " ".join(explain_missing(found(*ids), SO101_SERVOS)[:1])
 
 
-def test_a_scan_lists_every_servo_with_what_it_measures(bus):
+def test_a_scan_lists_every_servo_with_what_it_measures_though_replies_get_lost(bus, emulator):
     result = scan(bus, IDS)
     assert [servo.servo_id for servo in result.servos] == list(IDS)
     assert {(servo[Register.MODEL_NUMBER], servo.firmware) for servo in result.servos} == {(777, "3.10")}
@@ -40,9 +40,6 @@ def test_a_scan_lists_every_servo_with_what_it_measures(bus):
     assert all(servo.voltage_v == pytest.approx(5.0) for servo in result.servos)
     assert (result.unsteady_ids, result.garbled_bytes) == ((), 0)
     assert explain_missing(result, SO101_SERVOS) == []
-
-
-def test_a_scan_finds_everybody_though_replies_get_lost(bus, emulator):
     emulator.command(drop=0.1)
     assert sorted(scan(bus, IDS).ids) == list(IDS)
 
@@ -67,20 +64,16 @@ def test_cycles_begin_at_the_rate_of_the_control_loop_and_a_late_machine_is_repo
     assert times.lateness_p99_s == pytest.approx(late_s, abs=1e-6)
 
 
-def test_every_lost_reply_is_counted(bus, emulator):
-    emulator.command(offline=[2])
-    times = measure_cycles(bus, IDS, 10, emulator.clock, emulator.run)
-    assert times.lost_replies >= 10
-    assert math.isnan(times.round_trip_p50_s)
-
-
-def test_reads_of_one_servo_are_timed_shortest_first(bus, emulator):
+def test_every_lost_reply_is_counted_and_reads_of_one_servo_are_timed_shortest_first(bus, emulator):
     taken = measure_reads(bus, 3, 56, 15, 8, emulator.clock)
     assert taken == sorted(taken)
     assert wire_time_s(status_bytes(15), 1_000_000) < taken[0] <= taken[-1] < 0.005
     assert len(taken) > 4
     emulator.command(offline=[3])
     assert measure_reads(bus, 3, 56, 15, 2, emulator.clock) == []
+    times = measure_cycles(bus, IDS, 10, emulator.clock, emulator.run)
+    assert times.lost_replies >= 10
+    assert math.isnan(times.round_trip_p50_s)
 
 
 NOMINAL = nominal_calibration()
@@ -157,11 +150,15 @@ def test_what_is_wrong_is_found_named_and_given_the_remedy_of_the_docs(changes, 
         ({"lateness_p99_s": 0.006}, "jitter", Verdict.NOTE),
     ],
 )
-def test_bad_times_are_found(changes, check, verdict):
+def test_bad_times_and_servos_that_do_not_answer_long_reads_are_found(changes, check, verdict):
     found = {finding.check: finding for finding in judge_cycles(replace(TIMES, **changes))}
     assert found[check].verdict is verdict
     assert found[check].remedy
     assert {finding.verdict for name, finding in found.items() if name != check} == {Verdict.GOOD}
+    assert judge_long_reads(56, 31, []).verdict is Verdict.GOOD
+    bad = judge_long_reads(56, 31, [2, 5])
+    assert bad.verdict is Verdict.PROBLEM
+    assert "servos 2, 5 do not answer a read of registers 56 to 86" in bad.says
 
 
 def test_a_missing_servo_is_a_problem_and_an_empty_bus_is_only_that_and_without_a_calibration_its_check_stays_open():
@@ -170,10 +167,3 @@ def test_a_missing_servo_is_a_problem_and_an_empty_bus_is_only_that_and_without_
     assert "power supply" in found.says
     servos = tuple(report(spec) for spec in SO101_SERVOS)
     assert judge_scan(ScanResult(servos), SO101_SERVOS, None)[-1].verdict is Verdict.OPEN
-
-
-def test_servos_that_do_not_answer_long_reads_are_named():
-    assert judge_long_reads(56, 31, []).verdict is Verdict.GOOD
-    bad = judge_long_reads(56, 31, [2, 5])
-    assert bad.verdict is Verdict.PROBLEM
-    assert "servos 2, 5 do not answer a read of registers 56 to 86" in bad.says

@@ -89,12 +89,20 @@ def at_direction_of(joint):
     return session, hand
 
 
-def test_nothing_but_relaxing_is_asked_before_the_arm_is_relaxed():
+def test_nothing_but_relaxing_is_asked_before_the_arm_is_relaxed_and_progress_never_falls_on_the_way():
     session = CalibrationSession(SO101_SERVOS, MOTIONS, recentre=True)
     assert session.ranges() == ()
     with pytest.raises(CalibrationError, match="relax the arm"):
         session.answer(DONE)
     assert session.step.answers == (RELAX,)
+    session, hand = begun()
+    seen = [session.progress]
+    hand.sweep()
+    for answer in (DONE, DONE, *[SKIP] * 6):
+        seen.append(session.progress)
+        session.answer(answer)
+    assert seen == sorted(seen)
+    assert session.step.name == "write"
 
 
 @pytest.mark.parametrize(("shift", "offset"), [(0, 0), (1500, 0), (2600, 100)])
@@ -193,17 +201,6 @@ def test_the_result_of_a_sweep_changes_no_more_until_it_is_done_again_and_forget
     assert all(each.lowest == each.highest for each in session.ranges())
 
 
-def test_progress_never_falls_on_the_way():
-    session, hand = begun()
-    seen = [session.progress]
-    hand.sweep()
-    for answer in (DONE, DONE, *[SKIP] * 6):
-        seen.append(session.progress)
-        session.answer(answer)
-    assert seen == sorted(seen)
-    assert session.step.name == "write"
-
-
 ELBOW = next(servo for servo in SO101_SERVOS if servo.joint == "elbow_flex")
 SWEPT_ROLL = next(servo for servo in SO101_SERVOS if servo.turns_freely)
 
@@ -243,19 +240,16 @@ def test_wherever_the_stops_are_the_placed_range_never_crosses_the_seam(lower_st
 
 
 @given(st.integers(-5000, 5000), st.integers(-LARGEST_OFFSET, LARGEST_OFFSET), st.floats(0.0, 1.0))
-@pytest.mark.parametrize(
-    ("width", "reason"),
-    [
+def test_a_joint_that_hardly_moved_or_turned_round_is_refused(lower_stop, offset, start_share):
+    for width, reason in (
         (0, "was moved by 0 ticks"),
         (LEAST_SWEEP_TICKS - 1, "was moved by"),
         (WIDEST_SWEEP_TICKS + 1, "no stops within a turn"),
         (MAX_TICK + 800, "no stops within a turn"),
-    ],
-)
-def test_a_joint_that_hardly_moved_or_turned_round_is_refused(width, reason, lower_stop, offset, start_share):
-    sweep = swept((lower_stop, lower_stop + width), offset, start_share)
-    with pytest.raises(CalibrationError, match=reason):
-        place(ELBOW, sweep, offset, recentre=True)
+    ):
+        sweep = swept((lower_stop, lower_stop + width), offset, start_share)
+        with pytest.raises(CalibrationError, match=reason):
+            place(ELBOW, sweep, offset, recentre=True)
 
 
 @given(st.integers(0, MAX_TICK), st.integers(-LARGEST_OFFSET, LARGEST_OFFSET))
@@ -288,26 +282,26 @@ def test_a_joint_met_both_stops_when_it_covered_most_of_what_the_model_has_unles
 
 
 NONE, A, G = (frozenset(joints) for joints in ("", "a", "g"))
-BUILT_IN = pytest.mark.parametrize("name", ["so100", "so101", "koch_v1_1", "fetch"])
 
 
-@BUILT_IN
-def test_every_candidate_keeps_away_from_the_limits_of_every_built_in_arm(name):
+@pytest.mark.parametrize("name", ["so100", "so101", "koch_v1_1", "fetch"])
+def test_every_built_in_arm_has_a_motion_for_every_joint_and_candidates_away_from_its_limits(name):
     robot = robot_folder.resolve(name).model
-    for pose in poses(robot):
-        for candidate in pose.candidates:
-            for joint, position in candidate.items():
-                low, high = robot.joints[joint].lower, robot.joints[joint].upper
-                margin = min(LIMIT_MARGIN_RAD, (high - low) / 2.0)
-                assert low + margin - 1e-9 <= position <= high - margin + 1e-9 or joint in robot.gripper.joints
+    assert set(asked_motions(robot)) == {joint.name for joint in robot.movable_joints}
+    candidates = [candidate for pose in poses(robot) for candidate in pose.candidates]
+    for joint, position in (each for candidate in candidates for each in candidate.items()):
+        low, high = robot.joints[joint].lower, robot.joints[joint].upper
+        margin = min(LIMIT_MARGIN_RAD, (high - low) / 2.0)
+        assert low + margin - 1e-9 <= position <= high - margin + 1e-9 or joint in robot.gripper.joints
 
 
 def test_the_poses_beside_zero_show_the_direction_of_every_joint():
     zero, first, second, gripper = (pose.candidates[0] for pose in poses(so101()))
     for joint in zero:
-        assert (first[joint] - zero[joint]) * (second[joint] - zero[joint]) < 0.0
+        ways = [pose[joint] - zero[joint] for pose in (first, second)]
+        assert ways[0] * ways[1] < 0.0
         # A hand's breadth, not a swing.
-        assert max(abs(first[joint] - zero[joint]), abs(second[joint] - zero[joint])) < 0.5
+        assert max(map(abs, ways)) < 0.5
     assert set(gripper) == {"gripper"}
 
 
@@ -345,29 +339,19 @@ def moved(robot, joint, link, rises):
     return places[1] - places[0]
 
 
-def test_the_links_go_where_the_requests_say():
-    motions = asked_motions(so101())
+def test_the_links_go_where_the_requests_say_and_the_gripper_opens_whichever_way_its_joint_turns():
+    robot, motions = so101(), asked_motions(so101())
     assert motions["elbow_flex"].request == "move elbow flex so that the far end of lower arm goes up"
-    way = moved(so101(), "elbow_flex", "wrist_link", motions["elbow_flex"].rises)
+    way = moved(robot, "elbow_flex", "wrist_link", motions["elbow_flex"].rises)
     assert way[2] > 0.9 * np.linalg.norm(way)
     # An upright axis turns the arm to the left of who stands behind it.
     assert "to the left" in motions["shoulder_pan"].request
-    assert moved(so101(), "shoulder_pan", so101().tip_link, motions["shoulder_pan"].rises)[1] > 0.0
+    assert moved(robot, "shoulder_pan", robot.tip_link, motions["shoulder_pan"].rises)[1] > 0.0
     # A joint whose axis runs along its link is turned.
     assert "clockwise, as seen along the arm" in motions["wrist_roll"].request
-
-
-@pytest.mark.parametrize(("opened", "rises"), [(1.0, True), (-1.0, False)])
-def test_the_gripper_is_to_be_opened_whichever_way_its_joint_turns(opened, rises):
-    robot = so101()
-    turning = replace(robot, gripper=replace(robot.gripper, open=opened, closed=0.0))
-    assert asked_motions(turning)["gripper"] == AskedMotion("open the gripper", rises=rises)
-
-
-@BUILT_IN
-def test_there_is_a_motion_for_every_joint_of_every_built_in_arm(name):
-    robot = robot_folder.resolve(name).model
-    assert set(asked_motions(robot)) == {joint.name for joint in robot.movable_joints}
+    for opened, rises in ((1.0, True), (-1.0, False)):
+        turning = replace(robot, gripper=replace(robot.gripper, open=opened, closed=0.0))
+        assert asked_motions(turning)["gripper"] == AskedMotion("open the gripper", rises=rises)
 
 
 def test_the_sign_of_the_folder_is_compared_with_what_the_hand_did_and_a_twitch_shows_no_direction():

@@ -53,20 +53,15 @@ def test_a_servo_is_relaxed_first_only_what_differs_is_written_and_the_eprom_is_
 
 
 @pytest.mark.parametrize(("code", "servo_id"), [(0, 1), (0, 77), (1, 1), (4, 253), (7, 6)])
-def test_a_servo_is_found_at_any_rate_and_id(kit, code, servo_id):
-    set_registers(kit.servos[5], {Register.ID: servo_id, Register.BAUD_RATE: code})
-    kit.plug(5)
-    set_up(kit, GRIPPER)
-    assert finished(kit, 5, GRIPPER)
-    assert kit.servos[5].value(Register.BAUD_RATE) == 0
-
-
-def test_a_servo_of_several_turns_in_another_mode_counts_one_turn_and_holds_positions(kit):
-    set_registers(kit.servos[5], {Register.PHASE: 12 | 0x10, Register.OPERATING_MODE: 3, Register.RESPONSE_LEVEL: 0})
+def test_a_servo_is_found_at_any_rate_and_id_and_counts_one_turn_and_holds_positions(kit, code, servo_id):
+    strange = {Register.PHASE: 12 | 0x10, Register.OPERATING_MODE: 3, Register.RESPONSE_LEVEL: 0}
+    set_registers(kit.servos[5], {**strange, Register.ID: servo_id, Register.BAUD_RATE: code})
     kit.plug(5)
     set_up(kit, GRIPPER)
     held = kit.held(5)
     assert (held[Register.PHASE], held[Register.OPERATING_MODE], held[Register.RESPONSE_LEVEL]) == (12, 0, 1)
+    assert finished(kit, 5, GRIPPER)
+    assert kit.servos[5].value(Register.BAUD_RATE) == 0
 
 
 @pytest.mark.parametrize(
@@ -98,23 +93,19 @@ def test_silence_and_replies_that_nobody_can_read_are_explained_and_a_disturbed_
     assert [find(kit, GRIPPER).servo_id for _ in range(10)] == [77] * 10
 
 
-def test_a_calibrated_joint_is_never_offered_for_another(kit):
-    calibration = {Register.MIN_ANGLE_LIMIT: 900, Register.MAX_ANGLE_LIMIT: 3100, Register.HOMING_OFFSET: -40}
-    set_registers(kit.servos[0], calibration)
-    kit.plug(0)
-    assert {register: set_up(kit, PAN).registers[register] for register in calibration} == calibration
-    with pytest.raises(StartupError, match=r"only servo 1 \(shoulder_pan\) answers, .* has .* a calibration already"):
-        set_up(kit, ELBOW)
-    assert {register: kit.servos[0].value(register) for register in calibration} == calibration
-
-
-def test_limits_that_are_missing_and_an_open_lock_are_mended_though_nothing_else_differs(kit):
+def test_a_calibrated_joint_is_never_offered_for_another_and_missing_limits_and_an_open_lock_are_mended(kit):
     set_registers(kit.servos[0], {Register.MIN_ANGLE_LIMIT: 0, Register.MAX_ANGLE_LIMIT: 0})
     kit.plug(0)
     assert set_up(kit, PAN).angle_limits_ticks == (0, 4095)
     set_registers(kit.servos[0], {Register.LOCK: 0})
     set_up(kit, PAN)
     assert kit.servos[0].value(Register.LOCK) == 1
+    calibration = {Register.MIN_ANGLE_LIMIT: 900, Register.MAX_ANGLE_LIMIT: 3100, Register.HOMING_OFFSET: -40}
+    set_registers(kit.servos[0], calibration)
+    assert {register: set_up(kit, PAN).registers[register] for register in calibration} == calibration
+    with pytest.raises(StartupError, match=r"only servo 1 \(shoulder_pan\) answers, .* has .* a calibration already"):
+        set_up(kit, ELBOW)
+    assert {register: kit.servos[0].value(register) for register in calibration} == calibration
 
 
 def test_an_unknown_model_is_refused_with_the_way_round_and_a_supply_that_the_servo_is_not_made_for_is_said(kit):
@@ -208,30 +199,21 @@ def test_an_interrupted_write_leaves_the_eprom_locked(kit):
     assert kit.servos[5].value(Register.LOCK) == 1
 
 
-def saved(kit):
+def test_a_servo_gets_back_all_that_it_had_but_its_id_among_others_and_a_rate_that_makes_it_unreachable(kit):
+    set_registers(kit.servos[5], {Register.BAUD_RATE: 1, Register.HOMING_OFFSET: 77})
+    before = kit.held(5)
     kit.plug(5)
     found = find(kit, GRIPPER)
     ids = {"servo_id": found.servo_id, "new_id": GRIPPER.servo_id}
-    return setup.SavedServo(joint="gripper", **ids, baudrate=found.baudrate, registers=dict(found.registers))
-
-
-def test_a_servo_alone_gets_back_all_that_it_had(kit):
-    set_registers(kit.servos[5], {Register.BAUD_RATE: 1, Register.HOMING_OFFSET: 77})
-    before = kit.held(5)
-    entry = saved(kit)
-    after = set_up(kit, GRIPPER)
-    setup.write(kit.line(), after, setup.changes_back(after, entry, alone=True))
-    assert kit.held(5) == before
-
-
-def test_neither_the_id_among_others_nor_a_baud_rate_that_makes_a_servo_unreachable_is_restored(kit):
-    entry = saved(kit)
+    entry = setup.SavedServo(joint="gripper", **ids, baudrate=found.baudrate, registers=dict(found.registers))
     after = set_up(kit, GRIPPER)
     changed = [change.register for change in setup.changes_back(after, entry, alone=False)]
     assert Register.RETURN_DELAY in changed
     assert Register.ID not in changed
     odd = entry.model_copy(update={"registers": {**entry.registers, Register.BAUD_RATE: 5}})
     assert Register.BAUD_RATE not in [change.register for change in setup.changes_back(after, odd, alone=True)]
+    setup.write(kit.line(), after, setup.changes_back(after, entry, alone=True))
+    assert kit.held(5) == before
 
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
@@ -242,7 +224,7 @@ def servo(servo_id=1, new_id=6, **values):
     return setup.SavedServo(joint="gripper", servo_id=servo_id, new_id=new_id, baudrate=1_000_000, registers=registers)
 
 
-def test_what_is_saved_reads_back_and_grows_servo_by_servo(tmp_path):
+def test_what_is_saved_reads_back_and_grows_servo_by_servo_and_is_never_overwritten(tmp_path):
     backup = setup.BackupFile(tmp_path / "new" / "kit.json", "so101")
     assert backup.empty
     first, second = servo(HOMING_OFFSET=-40), servo(new_id=5)
@@ -250,9 +232,6 @@ def test_what_is_saved_reads_back_and_grows_servo_by_servo(tmp_path):
     assert setup.read_backup(backup.path) == (first,)
     backup.save(second, NOW)
     assert setup.read_backup(backup.path) == (first, second)
-
-
-def test_a_backup_that_is_not_there_is_refused_and_one_that_is_never_overwritten(tmp_path):
     file = tmp_path / "kit.json"
     early = setup.BackupFile(file, "so101")
     with pytest.raises(BackupError, match="cannot be read"):
@@ -286,15 +265,12 @@ def test_a_file_with_a_mistake_is_refused_with_its_place(tmp_path, old, new, sai
 BECAME_6, BECAME_5, KEPT_1 = (servo(1, new_id) for new_id in (6, 5, 1))
 
 
-@pytest.mark.parametrize(
-    ("saved", "found_ids", "matched"),
-    [
+def test_servos_are_recognised_by_the_ids_that_they_got():
+    for saved, found_ids, matched in (
         ([BECAME_6, BECAME_5, KEPT_1], [1, 5, 9], {1: KEPT_1, 5: BECAME_5}),
         ([BECAME_6], [1], {1: BECAME_6}),
         ([BECAME_6], [1, 6], {6: BECAME_6}),
         ([BECAME_6, BECAME_5], [1], {}),
         ([BECAME_6, servo(6, 6, P_GAIN=16)], [6], {6: BECAME_6}),
-    ],
-)
-def test_servos_are_recognised_by_the_ids_that_they_got(saved, found_ids, matched):
-    assert setup.match_saved(saved, found_ids) == matched
+    ):
+        assert setup.match_saved(saved, found_ids) == matched

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from robot.messages import (
     END_TIMEOUT_S,
     PARKING_TIMEOUT_S,
     ChangePace,
+    Command,
     EndState,
     Execute,
     KeepParking,
@@ -131,15 +133,24 @@ def test_an_arm_that_cannot_be_parked_is_relaxed_with_the_reason(
 
 
 @pytest.mark.parametrize(
-    ("message", "words"),
-    [(KeepParking(None), "the scene has changed"), (Shutdown(hurry=True), "must not wait"), (Stop(), "")],
+    ("happens", "words"),
+    [
+        (KeepParking(None), "the scene has changed since the way to the rest pose was planned; the arm is relaxed"),
+        (Shutdown(hurry=True), "parking: the server must not wait; the arm is relaxed where it is"),
+        (Stop(), "parking: the arm stands at "),
+        (Command(1, Order.EMERGENCY_STOP), "parking: the arm has a fault: "),
+        ({"temperature": {"3": 68}}, "parking: the arm has a fault: joint elbow_flex is at 68 degC"),
+    ],
 )
-def test_the_end_of_parking_relaxes(rig: ArmRig, caplog: pytest.LogCaptureFixture, message: object, words: str) -> None:
+def test_the_end_of_parking_relaxes(rig: ArmRig, caplog: pytest.LogCaptureFixture, happens: Any, words: str) -> None:
     rig.supervisor.handle(Shutdown())
     rig.run(0.5)
-    rig.supervisor.handle(message)
+    if isinstance(happens, dict):
+        rig.emulator.command(**happens)
+    else:
+        rig.supervisor.handle(happens)
     assert sinks(rig)
-    assert words in caplog.text
+    assert caplog.text.count(words) == 1
 
 
 @pytest.mark.parametrize("messages", [(Stop(epoch=2), Shutdown(1)), (Shutdown(1), Stop(epoch=2))])
@@ -168,15 +179,6 @@ def test_a_motion_that_is_paused_stopped_or_a_grip_is_not_set_going_by_the_end(
     lose_server(moving)
     assert sinks(moving)
     assert words in caplog.text
-
-
-def test_an_emergency_stop_ends_parking(rig: ArmRig) -> None:
-    rig.supervisor.handle(Shutdown())
-    rig.run(0.5)
-    assert rig.order(Order.EMERGENCY_STOP).done
-    until_ended(rig)
-    assert rig.torque() == [0] * 6
-    assert rig.fault_code == "emergency_stop"
 
 
 def test_an_arm_at_its_rest_pose_is_relaxed_at_once(rig: ArmRig) -> None:
@@ -228,12 +230,3 @@ def test_a_relaxed_arm_is_not_parked(rig: ArmRig) -> None:
     lose_server(rig)
     until_ended(rig, 0.1)
     assert rig.outcomes == []
-
-
-def test_a_fault_on_the_way_ends_parking(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    lose_server(rig)
-    rig.run(0.5)
-    rig.emulator.command(temperature={"3": 68})
-    until_ended(rig)
-    assert "the arm has a fault" in caplog.text
-    assert rig.torque() == [0] * 6

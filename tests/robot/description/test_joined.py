@@ -24,22 +24,19 @@ def pair(apart_m: float = 0.4) -> RobotModel:
     return joined("pair", {"left": left, "right": right})
 
 
-def test_every_link_joint_and_group_of_an_arm_begins_with_its_name_and_the_whole_has_the_joints_of_all() -> None:
-    names = (*LEFT.links, *LEFT.joints, *LEFT.groups, LEFT.tip_link, LEFT.default_group)
-    assert all(name.startswith("left_") for name in names)
-    assert LEFT.gripper.joints == ("left_gripper",)
-    names = [joint.name for joint in pair().movable_joints]
-    assert names == [joint.name for arm in (LEFT, RIGHT) for joint in arm.movable_joints]
-
-
 def limits(joint: Joint) -> tuple[float, ...]:
     return joint.lower, joint.upper, joint.max_velocity, joint.max_acceleration
 
 
-def test_limits_states_hulls_and_unchecked_pairs_are_those_of_the_arm() -> None:
+def test_all_of_an_arm_begins_with_its_name_and_limits_states_hulls_and_unchecked_pairs_are_its_own() -> None:
+    names = (*LEFT.links, *LEFT.joints, *LEFT.groups, LEFT.tip_link, LEFT.default_group)
+    assert all(name.startswith("left_") for name in names)
+    assert LEFT.gripper.joints == ("left_gripper",)
+    whole = pair()
+    names = [joint.name for joint in whole.movable_joints]
+    assert names == [joint.name for arm in (LEFT, RIGHT) for joint in arm.movable_joints]
     for joint in ONE.movable_joints:
         assert limits(LEFT.joints[f"left_{joint.name}"]) == limits(joint)
-    whole = pair()
     for kind in ("hulls", "parts", "surfaces"):
         assert getattr(LEFT, kind).keys() == {f"left_{link}" for link in getattr(ONE, kind)}
         assert getattr(whole, kind) == getattr(LEFT, kind) | getattr(RIGHT, kind)
@@ -95,18 +92,13 @@ SRDF = '<robot name="Mesh Arm"><group name="arm"><chain base_link="base" tip_lin
 
 
 @pytest.mark.parametrize("place", ["package://mesh_arm/meshes", "../meshes"])
-def test_meshes_of_an_arm_are_found_from_the_description_of_all(tmp_path: Path, place: str) -> None:
+def test_meshes_are_found_from_the_description_of_all_and_their_reach_is_unknown(tmp_path: Path, place: str) -> None:
     urdf = write_package(tmp_path)
     urdf.write_text(urdf.read_text().replace("package://mesh_arm/meshes", place))
     (tmp_path / "arm.srdf").write_text(SRDF)
     robot = model.load(urdf, tmp_path / "arm.srdf", (tmp_path,))
+    assert reach_m(robot) == math.inf
     whole = joined("two", {name: PlacedArm(prefixed(robot, name)) for name in ("left", "right")})
     names = {mesh.get("filename", "") for mesh in ET.fromstring(whole.urdf).iter("mesh")}
     found = {find_mesh(name, whole.mesh_directory, whole.package_directories).name for name in names}
     assert found == {"base.stl", "turret.stl", "channel.stl"}
-
-
-def test_arms_with_meshes_alone_are_checked_against_each_other_at_any_distance(tmp_path: Path) -> None:
-    urdf = write_package(tmp_path)
-    (tmp_path / "arm.srdf").write_text(SRDF)
-    assert reach_m(model.load(urdf, tmp_path / "arm.srdf", (tmp_path,))) == math.inf

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from planners.geometry.kinematics import ForwardKinematics
-from robot.calibration import Calibration, JointCalibration
+from robot.calibration import Calibration
 from robot.description import model
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import END_STOP_MARGIN_RAD, FASTEST_TICKS_S, within_calibration
@@ -61,7 +61,7 @@ def floats(element: ET.Element | None, attribute: str) -> list[float]:
     return [float(text) for text in element.attrib[attribute].split()]
 
 
-def test_another_robot_is_read_from_its_files(tmp_path: Path) -> None:
+def test_another_robot_is_read_from_its_files_and_one_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "two.urdf").write_text(URDF)
     (tmp_path / "two.srdf").write_text(SRDF)
     robot = model.load(tmp_path / "two.urdf", tmp_path / "two.srdf")
@@ -71,6 +71,8 @@ def test_another_robot_is_read_from_its_files(tmp_path: Path) -> None:
     assert robot.named_states == {"g": {"up": {"ab": 1.0}}}
     assert robot.disabled_pairs == {frozenset("ab")}
     assert robot.mesh_directory == tmp_path
+    with pytest.raises(DescriptionError, match=r"nothing\.urdf cannot be read"):
+        model.load(tmp_path / "nothing.urdf", tmp_path / "nothing.srdf")
 
 
 BROKEN = {
@@ -89,16 +91,11 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize(("urdf", "srdf", "words"), BROKEN.values(), ids=BROKEN.keys())
-def test_a_broken_description_is_refused_with_its_reason(urdf: str, srdf: str, words: str) -> None:
-    with pytest.raises(DescriptionError) as refused:
-        model.parse(urdf, srdf)
-    assert words in str(refused.value)
-
-
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DescriptionError, match=r"nothing\.urdf cannot be read"):
-        model.load(tmp_path / "nothing.urdf", tmp_path / "nothing.srdf")
+def test_a_broken_description_is_refused_with_its_reason() -> None:
+    for urdf, srdf, words in BROKEN.values():
+        with pytest.raises(DescriptionError) as refused:
+            model.parse(urdf, srdf)
+        assert words in str(refused.value)
 
 
 HAND_URDF = URDF.replace(
@@ -127,21 +124,16 @@ ALIKE = '<group name="fingers"><joint name="grip"/><joint name="press"/></group>
 ARM_ITSELF = '<end_effector name="e" parent_link="palm" group="arm"/>'
 
 
-@pytest.mark.parametrize(
-    ("elements", "gripper"),
-    [
+def test_the_gripper_is_the_end_effector_or_a_group_named_hand() -> None:
+    for elements, gripper in (
         ((HAND, EFFECTOR), model.GripperModel(("grip",), 0.04, 0.001)),
         # States say where a gripper is open and closed.
         ((HAND, EFFECTOR, STATES), model.GripperModel(("grip",), 0.03, 0.01)),
         ((ALIKE, EFFECTOR), model.GripperModel(("grip", "press"), 0.04, 0.001)),
         ((ARM_ITSELF,), None),
         ((ARM_ITSELF, HAND.replace("fingers", "hand")), model.GripperModel(("grip",), 0.04, 0.001)),
-    ],
-)
-def test_the_gripper_is_the_end_effector_or_a_group_named_hand(
-    elements: tuple[str, ...], gripper: model.GripperModel | None
-) -> None:
-    assert hand_of(ARM, *elements).gripper == gripper
+    ):
+        assert hand_of(ARM, *elements).gripper == gripper
 
 
 def test_a_passive_joint_is_held_where_it_is_least_turned() -> None:
@@ -155,14 +147,11 @@ def test_a_passive_joint_is_held_where_it_is_least_turned() -> None:
         assert after[link] == pytest.approx(transform, abs=1e-12)
 
 
-def test_the_group_of_goals_is_the_arm_else_the_first_chain() -> None:
+def test_the_group_of_goals_is_the_arm_else_the_first_or_longest_chain(caplog: pytest.LogCaptureFixture) -> None:
     pair = '<group name="pair"><joint name="grip"/><joint name="press"/></group>'
     assert hand_of(pair, HAND, ARM).default_group == "arm"
     assert hand_of(pair, ARM.replace('"arm"', '"lift"')).default_group == "lift"
-
-
-def test_a_robot_without_a_group_gets_the_longest_chain_and_a_line_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
-    robot = model.parse(HAND_URDF, "<robot name='two'/>")
+    robot = hand_of()
     assert (robot.default_group, robot.groups["arm"].tip_link) == ("arm", "finger")
     assert '<group name="arm">' in robot.srdf
     assert "has no <group>: the group 'arm' is the longest chain" in caplog.text
@@ -176,23 +165,15 @@ def arm(request):
     return ARMS[request.param]
 
 
-def drawn(arm, rng):
-    return {joint.name: rng.uniform(joint.lower, joint.upper) for joint in arm.movable_joints}
-
-
-def test_every_link_is_where_pinocchio_has_it(arm):
-    names = [joint.name for joint in arm.movable_joints]
+def test_every_link_is_where_pinocchio_has_it_and_stands_on_its_parent_or_the_root_link_on_nothing(arm):
+    names, placements = [joint.name for joint in arm.movable_joints], ForwardPlacements(arm)
     kinematics, rng = ForwardKinematics(arm, names), np.random.default_rng(3)
     for _ in range(20):
-        positions = drawn(arm, rng)
+        positions = {joint.name: rng.uniform(joint.lower, joint.upper) for joint in arm.movable_joints}
         kinematics.place(np.array([positions[name] for name in names]))
-        for link, transform in ForwardPlacements(arm).transforms(positions).items():
+        placed = placements.transforms(positions)
+        for link, transform in placed.items():
             assert transform == pytest.approx(kinematics.placement(link).homogeneous, abs=1e-9)
-
-
-def test_a_link_stands_on_its_parent_and_the_root_link_on_nothing(arm):
-    placements, positions = ForwardPlacements(arm), drawn(arm, np.random.default_rng(4))
-    placed = placements.transforms(positions)
     for link in set(arm.links) - {arm.root_link}:
         parent, transform_link_to_parent = placements.joint_transform(link, positions)
         assert placed[parent] @ transform_link_to_parent == pytest.approx(placed[link], abs=1e-12)
@@ -200,39 +181,24 @@ def test_a_link_stands_on_its_parent_and_the_root_link_on_nothing(arm):
         placements.joint_transform(arm.root_link, {})
 
 
-def test_limits_never_exceed_the_urdf_nor_the_calibrated_range_less_the_margin() -> None:
-    robot, calibration = so101(), nominal_calibration()
-    short = replace(calibration.joints[1], range_min=1500, range_max=2500)
-    calibration = Calibration((calibration.joints[0], short, *calibration.joints[2:]))
-    joint = within_calibration(robot, calibration).joints["shoulder_lift"]
+def test_limits_never_exceed_calibrated_ranges_nor_what_servos_follow(caplog: pytest.LogCaptureFixture) -> None:
+    robot, (first, second, *others) = so101(), nominal_calibration().joints
+    short = replace(second, range_min=1500, range_max=2500)
+    joint = within_calibration(robot, Calibration((first, short, *others))).joints["shoulder_lift"]
     assert joint.lower == pytest.approx(short.lower_rad + END_STOP_MARGIN_RAD)
     assert joint.upper == pytest.approx(short.upper_rad - END_STOP_MARGIN_RAD)
-
-
-def test_a_velocity_limit_above_the_servos_is_narrowed_with_one_log_line(caplog: pytest.LogCaptureFixture) -> None:
-    robot = so101()
     joints = {**robot.joints, "wrist_flex": replace(robot.joints["wrist_flex"], max_velocity=4.0)}
-    narrowed = within_calibration(replace(robot, joints=joints), nominal_calibration())
-    servo = nominal_calibration().joints[3]
-    assert narrowed.joints["wrist_flex"].max_velocity == pytest.approx(2.51, abs=0.01)
-    assert abs(servo.ticks_s_from_rad_s(narrowed.joints["wrist_flex"].max_velocity)) < FASTEST_TICKS_S
+    narrowed = within_calibration(replace(robot, joints=joints), nominal_calibration()).joints["wrist_flex"]
+    assert narrowed.max_velocity == pytest.approx(2.51, abs=0.01)
+    assert abs(others[1].ticks_s_from_rad_s(narrowed.max_velocity)) < FASTEST_TICKS_S
     narrowed_line = "joint wrist_flex: its velocity limit of 4 rad/s is narrowed to 2.51 rad/s"
     assert caplog.messages == [f"{narrowed_line}, the most its servo can follow"]
-
-
-FIRST, *OTHERS = nominal_calibration().joints
-
-
-@pytest.mark.parametrize(
-    ("calibrated", "named"),
-    [
-        (replace(FIRST, range_min=2000, range_max=2010), "shoulder_pan"),
-        (replace(FIRST, servo=replace(FIRST.servo, joint="knee")), "knee"),
-    ],
-)
-def test_a_calibration_that_does_not_fit_is_refused_with_its_joint(calibrated: JointCalibration, named: str) -> None:
-    with pytest.raises(DescriptionError, match=named):
-        within_calibration(so101(), Calibration((calibrated, *OTHERS)))
+    for calibrated, named in (
+        (replace(first, range_min=2000, range_max=2010), "shoulder_pan"),
+        (replace(first, servo=replace(first.servo, joint="knee")), "knee"),
+    ):
+        with pytest.raises(DescriptionError, match=named):
+            within_calibration(robot, Calibration((calibrated, second, *others)))
 
 
 MESH_SRDF = '<robot name="r"><group name="g"><chain base_link="a" tip_link="b"/></group></robot>'
@@ -259,17 +225,15 @@ def package(tmp_path: Path) -> Path:
 URL = "package://arm_description/meshes/b.stl"
 
 
-def test_a_relative_name_is_sought_beside_the_urdf_and_a_url_or_an_absolute_path_is_the_path(package: Path) -> None:
-    mesh = package / "meshes" / "b.stl"
-    for name, beside in (("../meshes/b.stl", package / "urdf"), (f"file://{mesh}", None), (str(mesh), package)):
-        assert find_mesh(name, beside, ()) == mesh
-
-
-def test_a_package_is_found_around_its_urdf_beside_another_and_in_folders_given(package: Path, tmp_path: Path) -> None:
-    other, elsewhere = package.parent / "cell_description" / "urdf", tmp_path / "elsewhere"
+def test_a_mesh_is_found_beside_the_urdf_by_url_or_in_a_package(package: Path, tmp_path: Path) -> None:
+    other, elsewhere, mesh = package.parent / "cell" / "urdf", tmp_path / "elsewhere", package / "meshes" / "b.stl"
     other.mkdir(parents=True)
-    for beside, given in ((package / "urdf", ()), (other, ()), (elsewhere, (package.parent,)), (elsewhere, (package,))):
-        assert find_mesh(URL, beside, given) == package / "meshes" / "b.stl"
+    for name, beside, given in (
+        *(("../meshes/b.stl", package / "urdf", ()), (f"file://{mesh}", None, ()), (str(mesh), package, ())),
+        *((URL, package / "urdf", ()), (URL, other, ())),
+        *((URL, elsewhere, (package.parent,)), (URL, elsewhere, (package,))),
+    ):
+        assert find_mesh(name, beside, given) == mesh
 
 
 def test_a_package_is_known_by_its_package_xml_and_a_given_folder_comes_first(package: Path, tmp_path: Path) -> None:
@@ -282,35 +246,12 @@ def test_a_package_is_known_by_its_package_xml_and_a_given_folder_comes_first(pa
     assert find_mesh(URL, checkout / "urdf", (tmp_path / "given",)) == given
 
 
-def test_the_environment_of_either_ros_names_folders_of_packages() -> None:
+def test_folders_given_and_of_the_environment_of_either_ros_are_those_of_the_robot(
+    package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     environment = {"ROS_PACKAGE_PATH": "/ws/src:/opt/share", "AMENT_PREFIX_PATH": "/opt/ros/humble"}
     assert package_path(environment) == (Path("/ws/src"), Path("/opt/share"), Path("/opt/ros/humble/share"))
     assert package_path({}) == ()
-
-
-def test_a_mesh_that_is_not_there_is_refused_with_the_paths_tried(tmp_path: Path) -> None:
-    with pytest.raises(DescriptionError, match=rf"--package-path.*{tmp_path / 'gone' / 'b.stl'}"):
-        find_mesh("package://gone/b.stl", None, (tmp_path,))
-
-
-def test_a_collision_mesh_that_is_not_there_stops_the_reading_with_file_and_link(package: Path, tmp_path: Path) -> None:
-    (package / "urdf" / "r.urdf").write_text(urdf("../meshes/gone.stl"))
-    (tmp_path / "r.srdf").write_text(MESH_SRDF)
-    with pytest.raises(DescriptionError) as refused:
-        model.load(package / "urdf" / "r.urdf", tmp_path / "r.srdf")
-    for words in (str(package / "urdf" / "r.urdf"), "link 'b' <collision>", "gone.stl' is not there"):
-        assert words in str(refused.value)
-
-
-def test_a_mesh_that_is_only_seen_is_missed_in_the_log(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING):
-        model.parse(urdf("gone.dae", "visual"), MESH_SRDF, mesh_directory=tmp_path)
-    assert "gone.dae" in caplog.text
-
-
-def test_folders_given_and_of_the_environment_are_those_of_the_robot(
-    package: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     (tmp_path / "r.urdf").write_text(urdf(URL))
     (tmp_path / "r.srdf").write_text(MESH_SRDF)
     monkeypatch.setenv("ROS_PACKAGE_PATH", str(package.parent))
@@ -318,6 +259,20 @@ def test_folders_given_and_of_the_environment_are_those_of_the_robot(
     assert robot.package_directories == (tmp_path, package.parent)
 
 
-def test_collision_meshes_get_their_paths_for_names(package: Path) -> None:
+def test_a_mesh_that_is_not_there_is_refused_with_the_paths_tried_or_missed_in_the_log_if_it_is_only_seen(
+    package: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(DescriptionError, match=rf"--package-path.*{tmp_path / 'gone' / 'b.stl'}"):
+        find_mesh("package://gone/b.stl", None, (tmp_path,))
+    (package / "urdf" / "r.urdf").write_text(urdf("../meshes/gone.stl"))
+    (tmp_path / "r.srdf").write_text(MESH_SRDF)
+    with pytest.raises(DescriptionError) as refused:
+        model.load(package / "urdf" / "r.urdf", tmp_path / "r.srdf")
+    for words in (str(package / "urdf" / "r.urdf"), "link 'b' <collision>", "gone.stl' is not there"):
+        assert words in str(refused.value)
+    with caplog.at_level(logging.WARNING):
+        model.parse(urdf("gone.dae", "visual"), MESH_SRDF, mesh_directory=tmp_path)
+    assert "gone.dae" in caplog.text
+    # One that is there has its path for a name.
     text = with_mesh_paths(urdf("../meshes/b.stl"), package / "urdf", ())
     assert f'filename="{package / "meshes" / "b.stl"}"' in text

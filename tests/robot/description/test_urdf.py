@@ -1,7 +1,6 @@
 """Files of a robot: URDF, its cameras, and SRDF."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -44,14 +43,6 @@ def test_a_joint_that_mimics_has_no_position_of_its_own_and_follows_the_first_of
     assert found.links == ("palm", "left", "right", "tip")
 
 
-def test_limits_from_beside_the_urdf_replace_its_own() -> None:
-    joint = tree(
-        HAND.replace('velocity="0.2"', 'velocity="0"'),
-        {"grip": JointLimits(max_velocity=0.1, max_acceleration=0.3, max_jerk=3.0)},
-    ).joints["grip"]
-    assert (joint.max_velocity, joint.max_acceleration, joint.max_jerk) == (0.1, 0.3, 3.0)
-
-
 def test_a_continuous_joint_needs_no_limit_element_where_its_velocity_is_given() -> None:
     text = HAND.replace('type="prismatic"', 'type="continuous"', 1)
     text = text.replace('<limit lower="0" upper="0.04" velocity="0.2" effort="1"/>', "")
@@ -60,13 +51,18 @@ def test_a_continuous_joint_needs_no_limit_element_where_its_velocity_is_given()
     assert "[joints.grip]" in urdf_refusal(text)
 
 
-def test_a_floating_joint_rests() -> None:
+def test_limits_from_beside_the_urdf_replace_its_own_and_a_floating_joint_rests() -> None:
     base = '<joint name="base" type="floating"><parent link="world"/><child link="palm"/></joint>'
-    assert not tree(HAND.replace("</robot>", f'<link name="world"/>{base}</robot>')).joints["base"].movable
-
-
-def test_the_namespace_of_xacro_alone_is_no_xacro() -> None:
-    tree(HAND.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" '))
+    joints = tree(
+        # The namespace of xacro alone is no xacro.
+        HAND.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+        .replace('velocity="0.2"', 'velocity="0"')
+        .replace("</robot>", f'<link name="world"/>{base}</robot>'),
+        {"grip": JointLimits(max_velocity=0.1, max_acceleration=0.3, max_jerk=3.0)},
+    ).joints
+    grip = joints["grip"]
+    assert (grip.max_velocity, grip.max_acceleration, grip.max_jerk) == (0.1, 0.3, 3.0)
+    assert not joints["base"].movable
 
 
 BROKEN_URDF = {
@@ -101,30 +97,23 @@ def test_a_position_that_may_be_in_degrees_gets_a_hint() -> None:
 AHEAD = (0.5, 0.0, 0.2, 0.0, 0.0, 0.2)
 
 
-def test_the_image_is_upright_and_shows_its_target_in_the_middle() -> None:
-    camera = Camera(view=AHEAD)
+def test_the_image_is_upright_and_shows_its_target_in_the_middle_as_large_as_the_field_of_view() -> None:
+    camera, below = Camera(view=AHEAD), Camera(view=(0.0, 0.0, 0.5, 0.0, 0.0, 0.0))
     assert camera.axes == pytest.approx(np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]))
-    below = Camera(view=(0.0, 0.0, 0.5, 0.0, 0.0, 0.0))
     assert below.axes[:, 2] == pytest.approx([0.0, 0.0, 1.0])
     for each in (camera, below):
         assert np.linalg.det(each.axes) == pytest.approx(1.0)
-
-
-def test_the_optical_frame_has_z_along_the_view_and_y_down() -> None:
-    transform = Camera(view=AHEAD).transform_optical_to_frame
+    # The optical frame has z along the view and y down.
+    transform = camera.transform_optical_to_frame
     assert transform @ (0.0, 0.0, 0.5, 1.0) == pytest.approx((*AHEAD[3:], 1.0))
     assert transform[:3, 1] == pytest.approx([0.0, 0.0, -1.0])
-
-
-def test_a_point_at_the_upper_edge_is_half_the_field_of_view_above_the_middle() -> None:
     column, row, depth = Camera(view=AHEAD, field_of_view_deg=90.0).intrinsic_matrix @ (0.0, -1.0, 1.0)
     # The middle of the first pixel is (0, 0), and its upper edge half a pixel above.
     assert (column / depth, row / depth) == pytest.approx((159.5, -0.5))
 
 
-@pytest.mark.parametrize(
-    ("values", "named"),
-    [
+def test_a_wrong_value_is_named() -> None:
+    for values, named in (
         ({"view": (0.1,) * 6}, "must look at another point"),
         ({"view": (1.0, 2.0)}, "view"),
         ({"view": (*AHEAD[:5], float("nan"))}, "view.5"),
@@ -133,11 +122,9 @@ def test_a_point_at_the_upper_edge_is_half_the_field_of_view_above_the_middle() 
         ({"rate_hz": 0.0}, "rate_hz"),
         ({"field_of_view_deg": 180.0}, "field_of_view_deg"),
         ({"colour": "red"}, "colour"),
-    ],
-)
-def test_a_wrong_value_is_named(values: dict[str, Any], named: str) -> None:
-    with pytest.raises(ValidationError, match=named):
-        Camera(**{"view": AHEAD, **values})
+    ):
+        with pytest.raises(ValidationError, match=named):
+            Camera(**{"view": AHEAD, **values})
 
 
 LIMIT = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
@@ -179,9 +166,8 @@ def srdf_refusal(inner: str) -> str:
     return str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("inner", "joints", "tip"),
-    [
+def test_a_group_has_its_joints_from_the_root_to_the_last_link() -> None:
+    for inner, joints, tip in (
         ('<joint name="r_elbow"/><joint name="r_shoulder"/>', ("r_shoulder", "r_elbow"), "r2"),
         ('<link name="l1"/><link name="l2"/><link name="l_tool"/>', ("l_shoulder", "l_elbow"), "l_tool"),
         ('<link name="base"/><link name="torso"/>', ("lift",), "torso"),
@@ -191,26 +177,20 @@ def srdf_refusal(inner: str) -> str:
             ("lift", "l_shoulder", "l_elbow"),
             "l_tool",
         ),
-    ],
-)
-def test_a_group_has_its_joints_from_the_root_to_the_last_link(inner: str, joints: tuple[str, ...], tip: str) -> None:
-    group = read(f'<group name="g">{inner}</group>').groups["g"]
-    assert (group.joints, group.tip_link) == (joints, tip)
+    ):
+        group = read(f'<group name="g">{inner}</group>').groups["g"]
+        assert (group.joints, group.tip_link) == (joints, tip)
 
 
-def test_nested_groups_bring_their_joints_whatever_their_order_in_the_file_and_two_arms_have_no_tip() -> None:
+def test_nested_groups_bring_their_joints_in_any_order_and_a_chain_may_lead_from_one_branch_to_another() -> None:
     both = '<group name="both"><group name="left"/><group name="right"/></group>'
     for inner in (f"{both}{LEFT}{RIGHT}", f"{LEFT}{RIGHT}{both}"):
         group = read(inner).groups["both"]
-        assert group.joints == BOTH
-        assert group.tip_link == ""
+        # Two arms have no tip.
+        assert (group.joints, group.tip_link) == (BOTH, "")
     assert read(RIGHT).groups["right"].base_link == "torso"
-
-
-def test_a_chain_may_lead_from_one_branch_to_another() -> None:
     group = read('<group name="g"><chain base_link="l2" tip_link="r2"/></group>').groups["g"]
-    assert set(group.joints) == set(BOTH)
-    assert group.tip_link == "r2"
+    assert (set(group.joints), group.tip_link) == (set(BOTH), "r2")
 
 
 def test_a_joint_that_mimics_is_in_no_group_and_no_state_and_a_passive_joint_in_no_group() -> None:
@@ -250,17 +230,14 @@ def test_an_end_effector_that_names_the_arm_itself_names_its_tip_and_one_of_its_
     assert [effector.parent_link for effector in semantics.end_effectors] == ["r2"]
 
 
-def test_a_state_without_a_group_is_one_of_the_smallest_group_with_its_joints() -> None:
+def test_a_state_without_a_group_is_one_of_the_smallest_and_links_are_checked_by_default_or_where_enabled() -> None:
     everything = '<group name="all"><chain base_link="base" tip_link="l2"/></group>'
-    state = '<group_state name="up"><joint name="l_elbow" value="1"/></group_state>'
-    assert read(everything + LEFT + state).named_states == {"left": {"up": {"l_elbow": 1.0}}}
-
-
-def test_links_without_default_collisions_are_checked_only_where_enabled() -> None:
     semantics = read(
-        f'{LEFT}<disable_default_collisions link="jaw"/><enable_collisions link1="jaw" link2="base"/>'
+        f'{everything}{LEFT}<group_state name="up"><joint name="l_elbow" value="1"/></group_state>'
+        '<disable_default_collisions link="jaw"/><enable_collisions link1="jaw" link2="base"/>'
         '<disable_collisions link1="l1" link2="gone"/>'
     )
+    assert semantics.named_states == {"left": {"up": {"l_elbow": 1.0}}}
     assert frozenset(("jaw", "l1")) in semantics.disabled_pairs
     assert frozenset(("jaw", "base")) not in semantics.disabled_pairs
 

@@ -1,7 +1,6 @@
 """Emulated arms: servos, the weight of their links, and the adapter that the arm process reads them by."""
 
 import contextlib
-import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 from robot.calibration import Calibration
 from robot.description import model
 from robot.emulator.arm import MAX_WAITING_BYTES, EmulatedArm, LinkWeights, weight_of
+from robot.emulator.control import LiveCommand
 from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos
 from robot.errors import NoReply, StartupError
 from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
@@ -22,7 +22,7 @@ from robot.hardware.interface import HardwareInterface, run_to_end
 from robot.hardware.port import LOCAL_LATENCY_S
 from tests.helpers import arm_rig, dynamixel
 from tests.helpers.dynamixel import emulated_arm
-from tests.helpers.emulator import ALL, COMMANDS, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet
+from tests.helpers.emulator import ALL, IDS, PING, REQUESTS, SYNC_READ, SteppedClock, SteppedEmulator, packet
 from tests.helpers.resources import examples
 from tests.helpers.robots import SO101_SERVOS, so101
 
@@ -53,7 +53,7 @@ def test_servos_start_relaxed_where_they_are_put_inside_their_mechanical_stops(k
 
 
 @OF_BOTH_FAMILIES
-def test_driven_servos_hold_where_they_are_at_their_torque_limits(kind: str, clock: SteppedClock) -> None:
+def test_driven_servos_hold_also_while_the_hardware_is_closed(kind: str, clock: SteppedClock) -> None:
     source = emulated_arm(kind, clock, start_rad={"shoulder_lift": -0.5}, driven=True)
     hardware = source.open()
     before = position_rad(hardware)
@@ -61,18 +61,9 @@ def test_driven_servos_hold_where_they_are_at_their_torque_limits(kind: str, clo
         clock.advance(0.01)
         after = position_rad(hardware)
     assert after == pytest.approx(before, abs=0.03)
-    assert found(source).driven.all()
-    assert [servo.torque_limit_permille for servo in source.bus.servos] == pytest.approx([800] * 5 + [500], abs=1)
-
-
-@OF_BOTH_FAMILIES
-def test_servos_go_on_while_the_hardware_is_closed(kind: str, clock: SteppedClock) -> None:
-    source = emulated_arm(kind, clock)
-    hardware = source.open()
-    run_to_end(hardware.survey())
-    run_to_end(hardware.enable(range(6)), clock.advance)
     hardware.close()
     assert found(source).driven.all()
+    assert [servo.torque_limit_permille for servo in source.bus.servos] == pytest.approx([800] * 5 + [500], abs=1)
 
 
 def lost_replies(source: EmulatedArm[Any], clock: SteppedClock) -> list[int]:
@@ -115,31 +106,20 @@ def test_servos_with_a_shifted_zero_start_relaxed_and_are_refused_torque(clock: 
         run_to_end(hardware.enable(range(6)))
 
 
-@pytest.fixture
-def offset_calibration(tmp_path: Path) -> Calibration:
-    entry = {"drive_mode": 0, "homing_offset": -120, "range_min": 900, "range_max": 3000}
-    path = tmp_path / "arm.json"
-    path.write_text(json.dumps({spec.joint: {"id": spec.servo_id + 10, **entry} for spec in SO101_SERVOS}))
-    return Calibration.load(path, SO101_SERVOS)
-
-
 def gravity_permille(calibration: Calibration, pose: list[float]) -> list[float]:
     servos = build_servos(calibration, pose)
     weight_of(so101(), calibration, servos)()
     return [servo.plant.gravity_permille for servo in servos]
 
 
-def test_the_weight_follows_the_pose_whatever_the_offsets(offset_calibration: Calibration) -> None:
-    pose = [0.0, 0.7, -0.4, 0.3, 0.0, 0.0]
+def test_the_weight_follows_the_pose_whatever_the_offsets_and_loads_a_servo_whose_ticks_fall_the_other_way() -> None:
+    shifted = [replace(each, homing_offset=-120, range_min=900, range_max=3000) for each in arm_rig.CALIBRATION.joints]
+    pose = [0.0, 0.7, -0.4, 0.3, 0.0, 0.5]
     joints = [servo.joint for servo in SO101_SERVOS]
     torques_nm = LinkWeights(so101()).holding_torques(dict(zip(joints, pose, strict=True)))
     expected = [DUTY_PERMILLE_PER_NM * torques_nm[joint] for joint in joints]
-    assert gravity_permille(offset_calibration, pose) == pytest.approx(expected, abs=0.1)
-
-
-def test_a_servo_whose_ticks_fall_is_loaded_the_other_way() -> None:
+    assert gravity_permille(Calibration(tuple(shifted)), pose) == pytest.approx(expected, abs=0.1)
     mirrored = [replace(servo, sign=-1) for servo in SO101_SERVOS]
-    pose = [0.0, 0.7, -0.4, 0.3, 0.0, 0.5]
     plain, other = (gravity_permille(Calibration.nominal(servos), pose) for servos in (SO101_SERVOS, mirrored))
     assert abs(plain[1]) > 1.0
     assert other == pytest.approx([-permille for permille in plain], abs=0.1)
@@ -162,7 +142,7 @@ HOIST_SRDF = '<robot name="hoist"><group name="arm"><joint name="lift"/></group>
 
 
 @given(st.lists(ANGLE, min_size=6, max_size=6))
-def test_a_torque_is_the_gradient_of_the_links_energy(angles):
+def test_a_torque_is_the_gradient_of_the_links_energy_and_a_prismatic_joint_carries_all_that_hangs_on_it(angles):
     robot = so101()
     pin = pinocchio.buildModelFromXML(robot.urdf)
     position = np.zeros(pin.nq)
@@ -172,12 +152,15 @@ def test_a_torque_is_the_gradient_of_the_links_energy(angles):
     expected = pinocchio.computeGeneralizedGravity(pin, pin.createData(), position)
     for name, torque in LinkWeights(robot).holding_torques(by_name).items():
         assert torque == pytest.approx(expected[pin.joints[pin.getJointId(name)].idx_v], abs=1e-6)
-
-
-def test_a_prismatic_joint_carries_all_that_hangs_on_it():
     hoist = model.parse(HOIST_URDF, HOIST_SRDF)
     assert LinkWeights(hoist).holding_torques({"lift": 0.3}) == {"lift": pytest.approx(19.62)}
 
+
+# An example of each command that takes no time, and some that end what others began.
+COMMANDS = [
+    *({name: field.examples[0]} for name, field in LiveCommand.model_fields.items() if "delay" not in name),
+    *({"drop": 0.0}, {"status": {"3": 0}}, {"hand": {"1": None}}, {"obstacle": {"1": None}}, {"frozen": False}),
+]
 
 BLOCK_READ = packet(ALL, SYNC_READ, [TELEMETRY_ADDRESS, TELEMETRY_BYTES, *IDS])
 STEP_S = 0.01
@@ -195,7 +178,7 @@ def at_once() -> SteppedEmulator:
         st.one_of(
             REQUESTS,
             st.sampled_from([0.02, 0.1, 1.0]),
-            st.sampled_from([command for command in COMMANDS if "delay" not in command]),
+            st.sampled_from(COMMANDS),
         ),
         max_size=15,
     )
@@ -244,18 +227,15 @@ def test_with_wire_time_replies_and_silence_are_waited_for_as_on_a_serial_port(e
     assert LOCAL_LATENCY_S < emulator.clock() - started_s < 0.01
 
 
-def test_unexpected_bytes_are_discarded_and_counted_and_a_closed_port_has_none_left(at_once):
-    at_once.port.writePort(packet(1, PING))
+def test_unexpected_bytes_are_counted_and_a_frozen_adapter_keeps_no_more_than_a_pseudo_terminal(at_once):
+    ping = packet(1, PING)
+    at_once.port.writePort(ping)
     at_once.port.clearPort()
     assert at_once.port.discarded_bytes == 6
     assert at_once.port.receive(0.0) == b""
-    at_once.port.writePort(packet(1, PING))
+    at_once.port.writePort(ping)
     at_once.port.closePort()
     assert at_once.port.receive(0.0) == b""
-
-
-def test_a_frozen_adapter_is_silent_and_keeps_no_more_than_a_pseudo_terminal(at_once):
-    ping = packet(1, PING)
     at_once.command(frozen=True)
     for _ in range(MAX_WAITING_BYTES):
         assert at_once.port.writePort(ping) == len(ping)

@@ -50,7 +50,7 @@ def command(emulation):
 
 
 def test_every_command_is_carried_out_and_acknowledged_and_no_part_of_one_that_is_refused(emulation, command):
-    faults = emulation.bus.faults
+    faults, adapter = emulation.bus.faults, emulation.adapter
     assert command(drop=0.25, corrupt=1, offline=[3, 4]) == {"ok": True}
     assert (faults.drop, faults.corrupt, faults.offline) == (0.25, 1.0, {3, 4})
     assert command(online=[3], push={"2": 50, "elbow_flex": -7}) == {"ok": True}
@@ -58,26 +58,18 @@ def test_every_command_is_carried_out_and_acknowledged_and_no_part_of_one_that_i
     assert [servo.plant.push_permille for servo in emulation.bus.servos] == [0, 50, -7, 0, 0, 0]
     assert "error" in command(drop=0.5, offline=[9])
     assert faults.drop == 0.25
-
-
-def test_an_adapter_comes_and_goes_and_its_name_is_reported(emulation, command):
-    before = emulation.adapter.port
-    assert command(plugged=False) == {"ok": True, "port": before}
-    assert emulation.adapter.descriptors == []
-    reply = command(plugged="renamed")
-    assert reply == {"ok": True, "port": emulation.adapter.port}
-    assert reply["port"] != before
-    assert len(emulation.adapter.descriptors) == 1
-
-
-def test_switches_and_numbers_reach_bus_adapter_and_servos(emulation, command):
-    faults, adapter = emulation.bus.faults, emulation.adapter
     for on in (True, False):
         command(stall_behind_missing=on, frozen=on)
         assert (faults.stall_behind_missing, adapter.frozen) == (on, on)
     command(delay_s=0.1, supply=4.5, heat_rate=7.0, usb_frame_ms=1.0)
     assert (faults.delay_s, adapter.frame_s) == (0.1, 0.001)
     assert {(servo.voltage_v, servo.motor.rate) for servo in emulation.bus.servos} == {(4.5, 7.0)}
+    before = adapter.port
+    assert command(plugged=False) == {"ok": True, "port": before}
+    assert adapter.descriptors == []
+    assert command(plugged="renamed") == {"ok": True, "port": adapter.port}
+    assert adapter.port != before
+    assert len(adapter.descriptors) == 1
 
 
 def test_every_command_is_documented_with_an_example_that_is_carried_out(emulation):
@@ -88,9 +80,8 @@ def test_every_command_is_documented_with_an_example_that_is_carried_out(emulati
         assert len(line) <= 120
 
 
-@pytest.mark.parametrize(
-    ("line", "reason"),
-    [
+def test_what_makes_no_sense_is_answered_with_field_limit_and_value(emulation):
+    for line, reason in (
         (b"{", "no JSON at column 2: Expecting"),
         (b"\xff", "decode"),
         (b"[]", "a command is a JSON object, not []"),
@@ -110,12 +101,10 @@ def test_every_command_is_documented_with_an_example_that_is_carried_out(emulati
         (b'{"hand": {"1": 5000}}', "hand.1: must be less than or equal to 4095, not 5000"),
         (b'{"frozen": 1}', "frozen: must be a valid boolean, not 1"),
         (b'{"plugged": "elsewhere"}', "plugged: must be True, False or 'renamed', not 'elsewhere'"),
-    ],
-)
-def test_what_makes_no_sense_is_answered_with_field_limit_and_value(emulation, line, reason):
-    reply = answer(line, emulation)
-    assert reply.endswith(b"\n")
-    assert reason in json.loads(reply)["error"]
+    ):
+        reply = answer(line, emulation)
+        assert reply.endswith(b"\n")
+        assert reason in json.loads(reply)["error"]
 
 
 @pytest.fixture
@@ -149,13 +138,8 @@ def test_an_obstacle_or_a_hand_is_at_a_present_position_until_it_ends(command, s
     command(**{name: {"3": None}})
     run(servo, 1.0)
     assert servo.present_ticks == goal
-
-
-def test_the_rest_reaches_the_servo(command, servo):
-    before = servo.present_ticks
     command(push={"3": 100}, jump={"3": 400}, temperature={"3": 66}, voltage={"3": 4.2}, status={"3": 2})
-    assert servo.plant.push_permille == 100.0
-    assert servo.present_ticks == before + 400
+    assert (servo.plant.push_permille, servo.present_ticks) == (100.0, goal + 400)
     assert (servo.motor.temperature_c, servo.voltage_v) == (66.0, 4.2)
     run(servo, 0.02)
     assert servo.error == StatusFlag.ENCODER
@@ -244,36 +228,25 @@ def test_commands_are_carried_out_and_answered_in_their_order_in_the_next_cycle(
     assert controlled.servos.bus.faults.offline == {3}
 
 
-def test_more_controllers_than_can_be_wanted_are_let_go_and_those_that_go_away_make_room(controlled):
+def test_a_controller_without_a_line_end_or_one_too_many_is_let_go_and_those_that_go_away_make_room(controlled):
     for _ in range(MAX_CONTROLLERS):
         controlled.connect().close()
         controlled.cycle()
     controllers = [controlled.connect() for _ in range(MAX_CONTROLLERS + 1)]
     assert controllers[-1].let_go
-    controllers[-2].send(b'{"offline": [3]}\n')
-    controlled.cycle()
-    assert controllers[-2].answer() == {"ok": True}
-
-
-def test_a_controller_that_sends_no_line_end_is_let_go(controlled):
-    controller = controlled.connect()
-    with contextlib.suppress(OSError):
-        for _ in range(MAX_COMMAND_BYTES // 4096 + 2):
-            controller.send(b"x" * 4096)
-            controlled.cycle()
-    assert controller.let_go
-
-
-def test_an_adapter_is_pulled_and_plugged_in_by_commands(controlled):
-    controller = controlled.connect()
-    controller.send(b'{"plugged": false}\n')
+    controllers[-2].send(b'{"plugged": false}\n')
     with pytest.raises(PortLost):
         controlled.cycle()
     with pytest.raises(PortError, match="unplugged"):
         controlled.servos.open()
-    controller.send(b'{"plugged": true}\n')
+    controllers[-2].send(b'{"plugged": true}\n')
     assert controlled.servos.open().read().position_rad.shape == (6,)
-    assert [controller.answer()["ok"], controller.answer()["ok"]] == [True, True]
+    assert [controllers[-2].answer()["ok"] for _ in range(2)] == [True, True]
+    with contextlib.suppress(OSError):
+        for _ in range(MAX_COMMAND_BYTES // 4096 + 2):
+            controllers[0].send(b"x" * 4096)
+            controlled.cycle()
+    assert controllers[0].let_go
 
 
 def test_a_socket_that_an_ended_process_has_left_is_replaced_and_a_file_left_alone(resources, tmp_path):

@@ -50,9 +50,8 @@ def test_turns_are_counted_until_the_supply_is_lost() -> None:
     assert read(servo, "PRESENT_POSITION") == pytest.approx(2048, abs=1)
 
 
-@pytest.mark.parametrize(
-    ("register", "value", "error"),
-    [
+def test_what_cannot_be_written_is_refused() -> None:
+    for register, value, error in (
         ("MODEL_NUMBER", 1, ACCESS_ERROR),
         ("PRESENT_POSITION", 1, ACCESS_ERROR),
         ("GOAL_PWM", 886, DATA_LIMIT_ERROR),
@@ -60,49 +59,40 @@ def test_turns_are_counted_until_the_supply_is_lost() -> None:
         ("GOAL_POSITION", 1_048_576, DATA_LIMIT_ERROR),
         ("TORQUE_ENABLE", 2, DATA_LIMIT_ERROR),
         ("BUS_WATCHDOG", -1, DATA_RANGE_ERROR),
-    ],
-)
-def test_what_cannot_be_written_is_refused(register: str, value: int, error: int) -> None:
-    servo = servo_at()
-    before = read(servo, register)
-    assert write(servo, register, value) == error
-    assert read(servo, register) == before
+    ):
+        servo = servo_at()
+        before = read(servo, register)
+        assert write(servo, register, value) == error
+        assert read(servo, register) == before
 
 
-def test_goals_beyond_the_limits_of_position_mode_and_the_eeprom_of_a_driven_servo_are_refused() -> None:
+def test_goals_beyond_the_limits_half_a_register_and_the_eeprom_of_a_driven_servo_are_refused() -> None:
     servo = servo_at(mode=OperatingMode.POSITION)
     assert write(servo, "GOAL_POSITION", 3501) == DATA_LIMIT_ERROR
     assert write(servo, "GOAL_POSITION", 3500) == 0
     for torque, refused in ((1, ACCESS_ERROR), (0, 0)):
         write(servo, "TORQUE_ENABLE", torque)
         assert write(servo, "OPERATING_MODE", 4) == refused
-
-
-def test_half_a_register_cannot_be_written_and_nothing_of_the_write_is_taken() -> None:
-    servo = servo_at()
     data = Register.PROFILE_ACCELERATION.encode(7) + Register.PROFILE_VELOCITY.encode(8)
     assert servo.write(Register.PROFILE_ACCELERATION, data[:6]) == DATA_LENGTH_ERROR
     assert read(servo, "PROFILE_ACCELERATION") == 0
     assert servo.write(Register.PROFILE_ACCELERATION, data) == 0
     assert (read(servo, "PROFILE_ACCELERATION"), read(servo, "PROFILE_VELOCITY")) == (7, 8)
-
-
-def test_the_xl430_has_no_current() -> None:
+    for address in (66, 300):
+        assert (servo.read(address, 2), servo.write(address, b"\1")) == (b"\0\0", ACCESS_ERROR)
+    # An XL430 has no current.
     servo = servo_at(model="xl430-w250")
     assert write(servo, "GOAL_CURRENT", 100) == ACCESS_ERROR
     assert read(servo, "CURRENT_LIMIT") == 0
 
 
-def test_a_change_of_mode_resets_limits_and_profile() -> None:
+def test_a_change_of_mode_resets_limits_and_profile_and_a_blocked_servo_pushes_with_its_current_limit() -> None:
     servo = servo_at()
     write(servo, "GOAL_CURRENT", 300)
     write(servo, "PROFILE_VELOCITY", 30)
     write(servo, "OPERATING_MODE", 5)
     assert (read(servo, "GOAL_CURRENT"), read(servo, "PROFILE_VELOCITY")) == (1750, 0)
-
-
-def test_a_blocked_servo_pushes_with_its_current_limit() -> None:
-    servo = holding(mode=OperatingMode.CURRENT_BASED_POSITION)
+    servo.hold()
     servo.plant.block(2100.0)
     write(servo, "GOAL_CURRENT", 367)
     write(servo, "GOAL_POSITION", 3000)
@@ -163,9 +153,3 @@ def test_heat_and_a_wrong_supply_are_hardware_errors_until_a_reboot(quantity: st
     assert read(servo, "HARDWARE_ERROR_STATUS") == bit
     servo.power_up()
     assert read(servo, "HARDWARE_ERROR_STATUS") == 0
-
-
-@pytest.mark.parametrize("address", [66, 300])
-def test_an_address_without_a_register_reads_as_zero_and_cannot_be_written(address: int) -> None:
-    assert servo_at().read(address, 2) == b"\0\0"
-    assert servo_at().write(address, b"\1") == ACCESS_ERROR

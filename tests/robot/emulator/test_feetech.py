@@ -8,7 +8,6 @@ from robot.emulator.arm import weight_of
 from robot.emulator.feetech import FACTORY_EPROM, MEMORY_BYTES, FeetechServo, build_servos
 from robot.emulator.plant import Plant
 from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
-from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Area, Register
@@ -93,14 +92,6 @@ def test_a_hot_servo_lets_go_if_it_is_set_to_and_holds_again_when_cool(unloading
     assert servo.present_ticks == 2200
 
 
-def test_a_wrong_supply_takes_no_torque():
-    servo = holding_servo()
-    servo.voltage_v = 12.0
-    put(servo, "GOAL_POSITION", 2200)
-    run(servo, 1.0)
-    assert (servo.error, servo.present_ticks) == (StatusFlag.VOLTAGE, 2200)
-
-
 def test_a_servo_may_power_up_holding_where_it_is():
     servo = servo_at(2500.0, offset=-100)
     servo.powers_up_holding = True
@@ -110,12 +101,14 @@ def test_a_servo_may_power_up_holding_where_it_is():
     assert servo.present_ticks == get(servo, "GOAL_POSITION") == 2500
 
 
-@pytest.mark.parametrize("value", [2, 3, 255])
-def test_only_one_is_torque_on(value):
+def test_only_one_is_torque_on_and_a_wrong_supply_takes_none():
     servo = servo_at()
-    put(servo, "TORQUE_ENABLE", value)
-    run(servo, 0.5)
-    assert servo.present_ticks == 2048
+    for value, reached in ((2, 2048), (3, 2048), (255, 2048), (1, 2200)):
+        put(servo, "TORQUE_ENABLE", value)
+        put(servo, "GOAL_POSITION", 2200)
+        servo.voltage_v = 12.0
+        run(servo, 1.0)
+        assert (servo.error, servo.present_ticks) == (StatusFlag.VOLTAGE, reached), value
 
 
 @given(st.integers(0, 255), st.binary(max_size=100))
@@ -129,19 +122,13 @@ def test_no_write_changes_what_is_read_only_or_adds_memory(address, data):
 
 
 @pytest.mark.parametrize(("lock", "kept"), [(1, 32), (0, 16)])
-def test_eprom_outlives_a_power_cut_only_when_written_unlocked(lock, kept):
+def test_eprom_outlives_a_power_cut_only_when_written_unlocked_and_a_restore_brings_back_all_but_the_id(lock, kept):
     servo = servo_at()
     put(servo, "LOCK", lock)
     put(servo, "P_GAIN", 16)
     assert servo.value(Register.P_GAIN) == 16
     servo.power_up()
     assert servo.value(Register.P_GAIN) == kept
-
-
-def test_without_a_backup_a_restore_brings_back_what_was_there_at_first_except_the_id():
-    servo = servo_at()
-    put(servo, "LOCK", 0)
-    put(servo, "P_GAIN", 16)
     put(servo, "ID", 9)
     servo.restore()
     assert (servo.value(Register.P_GAIN), servo.value(Register.ID)) == (FACTORY_EPROM[Register.P_GAIN], 9)
@@ -158,16 +145,13 @@ def test_the_position_begins_again_after_a_turn_unless_the_servo_counts_turns():
     assert counting == [4100, -90]
 
 
-@pytest.mark.parametrize("goal", [4000, 20])
-def test_a_goal_across_the_seam_is_approached_the_long_way_round(goal):
-    servo = turning(4080.0)
-    put(servo, "GOAL_POSITION", goal)
-    put(servo, "TORQUE_ENABLE", 1)
-    run(servo, 4.0)
-    assert servo.plant.position_ticks == pytest.approx(goal, abs=1.0)
-
-
-def test_a_joint_pushed_across_the_seam_runs_on_towards_its_goal_in_the_next_turn():
+def test_a_goal_across_the_seam_is_approached_the_long_way_round_and_one_pushed_across_it_in_the_next_turn():
+    for goal in (4000, 20):
+        servo = turning(4080.0)
+        put(servo, "GOAL_POSITION", goal)
+        put(servo, "TORQUE_ENABLE", 1)
+        run(servo, 4.0)
+        assert servo.plant.position_ticks == pytest.approx(goal, abs=1.0)
     servo = turning(4090.0)
     servo.hold()
     run(servo, 0.2)
@@ -179,30 +163,20 @@ def test_a_joint_pushed_across_the_seam_runs_on_towards_its_goal_in_the_next_tur
 JOINTS = [joint.joint for joint in nominal_calibration().joints]
 
 
-@pytest.fixture
-def kit(start_emulator):
-    return start_emulator("--population", "kit")
-
-
-def set_id(bus: Bus, present: int, wanted: int) -> None:
-    bus.write(present, Register.LOCK, 0)
-    # Raises NoReply unless the acknowledgement bears the old id, as lerobot's setup_motors expects it.
-    bus.write(present, Register.ID, wanted)
-    bus.write(wanted, Register.LOCK, 1)
-
-
-def test_a_servo_that_shares_its_id_leaves_the_others_understood(kit):
-    assert kit.command(unplug=JOINTS) == kit.command(plug=["shoulder_pan", "wrist_roll", "gripper"]) == {"ok": True}
+def test_a_servo_that_shares_its_id_leaves_the_others_understood(start_emulator):
+    kit = start_emulator("--population", "kit")
+    assert kit.command(unplug=JOINTS) == kit.command(plug=["gripper"]) == {"ok": True}
     bus = kit.open_bus()
-    kit.command(unplug=["shoulder_pan", "wrist_roll"])
-    set_id(bus, 1, 6)
+    bus.write(1, Register.LOCK, 0)
+    # Raises NoReply unless the acknowledgement bears the old id, as lerobot's setup_motors expects it.
+    bus.write(1, Register.ID, 6)
     kit.command(plug=["shoulder_pan", "wrist_roll"])
     assert list(bus.broadcast_ping()) == [6]
     assert list(bus.sync_read([1, 6], 56, 15)) == [6]
 
 
 NOMINAL = nominal_calibration()
-ELBOW, WRIST_ROLL, GRIPPER = 2, 4, 5
+ELBOW, WRIST_ROLL = 2, 4
 
 
 def servos_of(population: str) -> list[FeetechServo]:
@@ -218,20 +192,16 @@ def test_lerobots_servos_have_its_registers_and_an_open_eprom():
         assert servo.value(Register.LOCK) == 1
 
 
-def test_another_drivers_offsets_shift_what_is_read_and_not_the_arm():
+def test_another_drivers_offsets_shift_what_is_read_and_not_the_arm_unless_the_servos_are_found_again():
     for before, after in zip(servos_of("factory"), servos_of("ros2_driver"), strict=True):
         shift = after.value(Register.HOMING_OFFSET) - before.value(Register.HOMING_OFFSET)
         assert after.present_ticks == before.present_ticks - shift
         assert after.plant.position_ticks == before.plant.position_ticks
     shifts = [each.value(Register.HOMING_OFFSET) for each in servos_of("ros2_driver")]
     assert shifts == list(ROS2_DRIVER.offset_shift_ticks)
-
-
-def test_servos_found_again_read_what_they_read_before():
     start_rad = [0.1, -0.5, 0.4, 0.2, 0.1, 0.3]
-    shifted = build_servos(NOMINAL, start_rad, ROS2_DRIVER, as_read=True)
-    true = build_servos(NOMINAL, start_rad, FACTORY)
-    assert [servo.present_ticks for servo in shifted] == [servo.present_ticks for servo in true]
+    again, true = build_servos(NOMINAL, start_rad, ROS2_DRIVER, as_read=True), build_servos(NOMINAL, start_rad, FACTORY)
+    assert [servo.present_ticks for servo in again] == [servo.present_ticks for servo in true]
 
 
 def test_clones_are_of_one_other_model_but_not_of_one_firmware():
@@ -244,21 +214,15 @@ def test_clones_are_of_one_other_model_but_not_of_one_firmware():
         assert clone.error == 0
 
 
-@pytest.mark.parametrize("population", ["lerobot", "ros2_driver", "clone"])
-def test_the_wrist_stops_before_its_calibrated_range_ends(population):
-    wrist = servos_of(population)[WRIST_ROLL]
-    wrist.plant.hand_ticks = 5000.0
-    run(wrist, 3.0)
-    assert wrist.plant.position_ticks == 3981.0
-    wrist.plant.hand_ticks = -5000.0
-    run(wrist, 3.0)
-    assert wrist.plant.position_ticks == 113.0
-
-
-def test_a_hand_finds_a_position_behind_the_seam():
+def test_the_wrist_stops_before_its_calibrated_range_ends_and_a_hand_finds_a_position_behind_the_seam():
+    for population in ("lerobot", "ros2_driver", "clone"):
+        wrist = servos_of(population)[WRIST_ROLL]
+        for hand, stop in ((5000.0, 3981.0), (-5000.0, 113.0)):
+            wrist.plant.hand_ticks = hand
+            run(wrist, 3.0)
+            assert wrist.plant.position_ticks == stop, population
     wrist = build_servos(NOMINAL, [0.0] * 6, KIT)[WRIST_ROLL]
     assert wrist.plant.upper_stop_ticks > 4200
-    wrist.plant.hand_ticks = wrist.encoder_ticks(50)
     wrist.plant.position_ticks = 4000.0
     wrist.plant.hand_ticks = wrist.encoder_ticks(50)
     run(wrist, 1.0)

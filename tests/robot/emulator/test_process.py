@@ -74,16 +74,12 @@ def reply(due_s, data):
 BURST = [reply(1.0004, b"one"), reply(1.0012, b"two")]
 
 
-def test_a_burst_is_given_as_a_whole_when_its_last_byte_is_due_and_does_not_wait_for_the_next(adapter, client):
+def test_a_burst_is_given_as_a_whole_when_its_last_byte_is_due_and_with_frames_at_the_end_of_theirs(adapter, client):
     adapter.take(BURST)
     adapter.take([reply(9.0, b"late")])
-    adapter.deliver(1.0011)
-    assert client.read(9) == b""
-    adapter.deliver(1.0012)
-    assert client.read(9) == b"onetwo"
-
-
-def test_with_frames_bytes_are_given_at_the_end_of_theirs(adapter, client):
+    for now_s, received in ((1.0011, b""), (1.0012, b"onetwo"), (9.0, b"late")):
+        adapter.deliver(now_s)
+        assert client.read(9) == received
     adapter.frame_s = 0.001
     adapter.take(BURST)
     for now_s, received in ((1.0009, b""), (1.0011, b"one"), (1.0019, b""), (1.0021, b"two")):
@@ -105,27 +101,20 @@ def test_a_frozen_adapter_takes_and_gives_nothing_until_it_goes_on(adapter, clie
     assert adapter.read() == b"late"
 
 
-def test_an_adapter_that_is_pulled_takes_port_and_link_away(adapter, client, tmp_path):
+@pytest.mark.parametrize("renamed", [False, True])
+def test_an_adapter_that_is_pulled_takes_port_link_and_queue_away(adapter, client, tmp_path, renamed):
+    before = adapter.port
     adapter.take(BURST)
     adapter.unplug()
     assert not (tmp_path / "arm").is_symlink()
     with pytest.raises(serial.SerialException):
         client.read(1)
-    assert adapter.descriptors == []
-    assert (adapter.read(), adapter.baudrate) == (b"", 0)
+    assert (adapter.descriptors, adapter.read(), adapter.baudrate) == ([], b"", 0)
     adapter.take(BURST)
     adapter.deliver(9.0)
     adapter.unplug()
-
-
-@pytest.mark.parametrize("renamed", [False, True])
-def test_an_adapter_that_comes_back_has_dropped_its_queue_and_the_link_leads_there(adapter, tmp_path, renamed):
-    before = adapter.port
-    adapter.take(BURST)
-    adapter.unplug()
     adapter.plug_in(renamed=renamed)
-    if renamed:
-        assert adapter.port != before
+    assert not renamed or adapter.port != before
     assert str((tmp_path / "arm").readlink()) == adapter.port
     with serial.Serial(str(tmp_path / "arm"), timeout=0) as line:
         adapter.deliver(9.0)
@@ -169,9 +158,8 @@ def test_servos_and_bus_are_as_asked_for(tmp_path):
     assert json.loads(log.read_text())["command"] == {}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence", "error"),
-    [
+def test_options_that_cannot_be_are_refused_in_a_sentence(capsys):
+    for arguments, sentence, error in (
         (["--start=a"], "not a list of numbers", SystemExit),
         (["--drop", "2"], "drop: must be less than or equal to 1, not 2.0", SystemExit),
         (["--supply", "nan"], "supply: must be a finite number, not nan", SystemExit),
@@ -179,12 +167,10 @@ def test_servos_and_bus_are_as_asked_for(tmp_path):
         (["--start=0,9,0,0,0,0"], "shoulder_lift cannot start at 9 rad", ValueError),
         (["--calibration", "/nowhere.json"], "/nowhere.json: cannot be read", CalibrationError),
         (["--write-log", "/nowhere/log"], "/nowhere/log", OSError),
-    ],
-)
-def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, arguments, sentence, error):
-    with pytest.raises(error) as refused:
-        process.run(options_parser().parse_args(arguments))
-    assert sentence in capsys.readouterr().err + str(refused.value)
+    ):
+        with pytest.raises(error) as refused:
+            process.run(options_parser().parse_args(arguments))
+        assert sentence in capsys.readouterr().err + str(refused.value)
 
 
 TICK_S = 0.02
@@ -241,38 +227,32 @@ def test_every_command_is_due_once_at_its_time_from_the_first_start() -> None:
     assert rehearsal.commands_due(START_S + 1000.0) == []
 
 
-def test_a_script_that_repeats_starts_again_after_its_last_command() -> None:
+def test_a_script_that_repeats_starts_again_after_its_last_command_unless_it_takes_no_time() -> None:
     rehearsal = Rehearsal([HOLD, LET_GO], repeats=True)
     rehearsal.start(START_S)
-    assert rehearsal.commands_due(START_S + 2.0) == [HOLD, LET_GO]
-    assert rehearsal.commands_due(START_S + 2.0) == [HOLD]
-    assert rehearsal.commands_due(START_S + 3.9) == []
-    assert rehearsal.commands_due(START_S + 4.0) == [LET_GO]
-    # Rounds that a suspended machine missed are not made up for.
-    assert rehearsal.commands_due(START_S + 3600.0) == [HOLD, LET_GO]
-    assert rehearsal.commands_due(START_S + 3600.0) == [HOLD]
-    assert rehearsal.commands_due(START_S + 3601.0) == []
+    for after_s, due in (
+        *((2.0, [HOLD, LET_GO]), (2.0, [HOLD]), (3.9, []), (4.0, [LET_GO])),
+        # Rounds that a suspended machine missed are not made up for.
+        *((3600.0, [HOLD, LET_GO]), (3600.0, [HOLD]), (3601.0, [])),
+    ):
+        assert rehearsal.commands_due(START_S + after_s) == due
+    for commands, error_text in (([HOLD], "it is 0"), ([], "there is none")):
+        with pytest.raises(ValueError, match=rf"its last at_s is 0\.1 or more; {error_text}"):
+            Rehearsal(commands, repeats=True)
 
 
-@pytest.mark.parametrize(("commands", "error_text"), [([HOLD], "it is 0"), ([], "there is none")])
-def test_a_script_that_takes_no_time_is_not_repeated(commands: list[TimedCommand], error_text: str) -> None:
-    with pytest.raises(ValueError, match=rf"its last at_s is 0\.1 or more; {error_text}"):
-        Rehearsal(commands, repeats=True)
-
-
-def test_a_script_is_read_line_by_line(tmp_path: Path) -> None:
+def test_a_script_is_read_line_by_line_and_refused_without_any(tmp_path: Path) -> None:
     file = tmp_path / "script.jsonl"
     file.write_text('{"at_s": 0, "hand": {"3": 2000}}\n\n{"at_s": 2, "hand": {"3": null}, "drop": 0.5}\n{"at_s": 2.5}')
-    assert process.read_script(file, bus_of()) == (
-        HOLD,
-        TimedCommand(2.0, {"hand": {"3": None}, "drop": 0.5}),
-        TimedCommand(2.5, {}),
-    )
+    let_go, nothing = TimedCommand(2.0, {"hand": {"3": None}, "drop": 0.5}), TimedCommand(2.5, {})
+    assert process.read_script(file, bus_of()) == (HOLD, let_go, nothing)
+    file.write_text("\n")
+    with pytest.raises(ValueError, match=re.escape(f"{file}: the script has no commands")):
+        process.read_script(file, bus_of())
 
 
-@pytest.mark.parametrize(
-    ("line", "error_text"),
-    [
+def test_a_line_that_cannot_be_is_refused_with_file_and_number(tmp_path: Path) -> None:
+    for line, error_text in (
         ('{"at_s": 1, "hand": {"3": 1900}}', "at_s: must be more than the 1 of the line before, not 1"),
         ('{"at_s": 2, "hand": {"3": 5000}}', "hand.3: must be less than or equal to 4095, not 5000"),
         ('{"at_s": 2, "explode": 1}', "unknown command 'explode'"),
@@ -283,20 +263,11 @@ def test_a_script_is_read_line_by_line(tmp_path: Path) -> None:
         ('{"drop": 0.5}', "at_s: is missing"),
         ("[2]", "a command is a JSON object, not [2]"),
         ('{"at_s" 2}', "no JSON at column 9: Expecting ':' delimiter"),
-    ],
-)
-def test_a_line_that_cannot_be_is_refused_with_file_and_number(tmp_path: Path, line: str, error_text: str) -> None:
-    file = tmp_path / "script.jsonl"
-    file.write_text(f'{{"at_s": 1}}\n\n{line}\n')
-    with pytest.raises(ValueError, match="^" + re.escape(f"{file}, line 3: {error_text}")):
-        process.read_script(file, bus_of())
-
-
-def test_a_script_without_commands_is_refused(tmp_path: Path) -> None:
-    file = tmp_path / "script.jsonl"
-    file.write_text("\n")
-    with pytest.raises(ValueError, match=re.escape(f"{file}: the script has no commands")):
-        process.read_script(file, bus_of())
+    ):
+        file = tmp_path / "script.jsonl"
+        file.write_text(f'{{"at_s": 1}}\n\n{line}\n')
+        with pytest.raises(ValueError, match="^" + re.escape(f"{file}, line 3: {error_text}")):
+            process.read_script(file, bus_of())
 
 
 @ARMS
@@ -327,7 +298,7 @@ def test_a_sweep_holds_the_middle_and_then_brings_every_joint_to_both_stops_and_
     assert all(servo.plant.hand_ticks is None for servo in servos)
 
 
-def test_a_joint_that_holds_gives_way_to_a_push_and_comes_back() -> None:
+def test_a_joint_that_holds_gives_way_to_a_push_and_comes_back_and_stalls_at_an_obstacle_until_it_is_gone() -> None:
     start, end = (timed.at_s for timed in process.push(NOMINAL))
     away = {}
     for now_s, servos in played(process.push(NOMINAL), NOMINAL, 2047):
@@ -335,16 +306,12 @@ def test_a_joint_that_holds_gives_way_to_a_push_and_comes_back() -> None:
     assert away[start - 1.0] <= 5
     assert 20 <= away[end - 1.0] <= 50
     assert away[end + 1.0] <= 5
-
-
-def test_a_joint_stalls_at_the_obstacle_and_goes_on_when_it_is_taken_away() -> None:
     start, end = (timed.at_s for timed in process.stall(NOMINAL))
     ticks = {}
     for now_s, servos in played(process.stall(NOMINAL), NOMINAL, 2047):
-        elbow = servos[ELBOW]
         if abs(now_s - start - 1.0) < TICK_S / 2:
-            FEETECH_FAMILY.write(elbow, "GOAL_POSITION", 2373)
-        ticks[round(now_s, 2)] = elbow.present_ticks
+            FEETECH_FAMILY.write(servos[ELBOW], "GOAL_POSITION", 2373)
+        ticks[round(now_s, 2)] = servos[ELBOW].present_ticks
     (obstacle,) = process.stall(NOMINAL)[0].command["obstacle"].values()
     assert ticks[start + 2.5] == obstacle < 2373 - 60
     assert ticks[end + 1.0] == pytest.approx(2373, abs=5)
@@ -355,26 +322,20 @@ def rehearsed(*arguments: str) -> Rehearsal:
     return process.build_rehearsal(options_parser().parse_args(arguments), bus_of())
 
 
-@pytest.mark.parametrize("name", REHEARSALS)
-def test_a_rehearsal_is_that_of_the_arm_which_is_emulated(tmp_path: Path, name: str) -> None:
+def test_a_rehearsal_is_that_of_the_emulated_arm_and_any_script_can_be_repeated(tmp_path: Path) -> None:
     save(MEASURED, tmp_path / "arm.json")
-    assert rehearsed("--rehearse", name).commands == REHEARSALS[name](NOMINAL)
-    measured = rehearsed("--rehearse", name, "--calibration", str(tmp_path / "arm.json"))
-    assert measured.commands == REHEARSALS[name](MEASURED)
-
-
-@pytest.mark.parametrize("ready_made", [True, False])
-def test_either_kind_of_script_can_be_repeated(tmp_path: Path, ready_made: bool) -> None:
+    for name in REHEARSALS:
+        assert rehearsed("--rehearse", name).commands == REHEARSALS[name](NOMINAL)
+        measured = rehearsed("--rehearse", name, "--calibration", str(tmp_path / "arm.json"))
+        assert measured.commands == REHEARSALS[name](MEASURED)
     file = tmp_path / "script.jsonl"
     file.write_text('{"at_s": 0, "hand": {"3": 2000}}\n{"at_s": 2, "hand": {"3": null}}\n')
-    rehearsal = rehearsed("--repeat", *(["--rehearse", "push"] if ready_made else ["--script", str(file)]))
-    rehearsal.start(START_S)
-    last_s = START_S + rehearsal.commands[-1].at_s
-    assert rehearsal.commands_due(last_s) == list(rehearsal.commands)
-    assert rehearsal.commands_due(2 * last_s) == list(rehearsal.commands)
-
-
-def test_without_a_script_nothing_is_played_or_can_be_repeated() -> None:
+    for script in (["--rehearse", "push"], ["--script", str(file)]):
+        rehearsal = rehearsed("--repeat", *script)
+        rehearsal.start(START_S)
+        last_s = START_S + rehearsal.commands[-1].at_s
+        assert rehearsal.commands_due(last_s) == list(rehearsal.commands)
+        assert rehearsal.commands_due(2 * last_s) == list(rehearsal.commands)
     assert rehearsed().commands == ()
     with pytest.raises(ValueError, match="--repeat needs a script to repeat: --script or --rehearse"):
         rehearsed("--repeat")

@@ -44,52 +44,45 @@ def port(line):
     opened.closePort()
 
 
-def test_a_path_that_does_not_exist_is_named(tmp_path):
+def test_a_port_that_does_not_exist_or_is_busy_and_a_rate_no_servo_knows_are_refused(line, port, tmp_path):
     path = str(tmp_path / "ttyACM0")
     with pytest.raises(PortError, match=f"{path} does not exist"):
         open_port(path, BAUDRATE)
-
-
-def test_a_port_that_another_has_open_is_busy(line, port):
     with pytest.raises(PortBusy, match=f"{line[1]} is in use"):
         open_port(line[1], BAUDRATE)
     port.closePort()
     open_port(line[1], BAUDRATE).closePort()
-
-
-@pytest.mark.parametrize(
-    ("number", "names", "advice"),
-    [
-        (987, {987: "uucp"}, "sudo usermod -aG uucp $USER"),
-        (987, {}, "--group-add 987"),
-        (0, {0: "root"}, "sudo usermod -aG dialout $USER"),
-    ],
-)
-def test_a_missing_permission_names_the_group_that_owns_the_device(monkeypatch, number, names, advice):
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "stat", lambda _path: os.stat_result((0o20660, 0, 0, 1, 0, number, 0, 0, 0, 0)))
-        patched.setattr(grp, "getgrgid", lambda gid: grp.struct_group((names[gid], "x", gid, [])))
-        said = str(_refusal("/dev/ttyACM0", errno.EACCES, "Permission denied"))
-    assert all(words in said for words in (advice, "/dev/ttyACM0", "udev")), said
-
-
-def test_a_baud_rate_no_servo_knows_is_refused(line):
     with pytest.raises(ValueError, match="921600"):
         open_port(line[1], 921_600)
 
 
-def test_bytes_pass_both_ways_unaltered(line, port):
+def test_a_missing_permission_names_the_group_that_owns_the_device(monkeypatch):
+    for number, names, advice in (
+        (987, {987: "uucp"}, "sudo usermod -aG uucp $USER"),
+        (987, {}, "--group-add 987"),
+        (0, {0: "root"}, "sudo usermod -aG dialout $USER"),
+    ):
+        with monkeypatch.context() as patched:
+            patched.setattr(os, "stat", lambda _path: os.stat_result((0o20660, 0, 0, 1, 0, number, 0, 0, 0, 0)))  # noqa: B023
+            patched.setattr(grp, "getgrgid", lambda gid: grp.struct_group((names[gid], "x", gid, [])))  # noqa: B023
+            said = str(_refusal("/dev/ttyACM0", errno.EACCES, "Permission denied"))
+        assert all(words in said for words in (advice, "/dev/ttyACM0", "udev")), said
+
+
+def test_bytes_pass_both_ways_unaltered_and_those_that_are_cleared_are_counted(line, port):
+    # A program is behind a pseudo terminal.
+    assert port.latency_s == TERMINAL_LATENCY_S > NETWORK_LATENCY_S > LOCAL_LATENCY_S
     every_byte = bytes(range(256))
     assert port.writePort(list(every_byte)) == 256
     assert os.read(line[0], 512) == every_byte
     os.write(line[0], every_byte)
     assert port.receive(1.0) == every_byte
-
-
-def test_clearing_throws_away_what_came_and_counts_it(line, port):
     os.write(line[0], b"stale")
     port.clearPort()
     assert (port.discarded_bytes, port.receive(0.0)) == (5, b"")
+    # A device that takes no bytes is lost, and not waited for.
+    with pytest.raises(PortLost, match="timeout"):
+        port.writePort(bytes(100_000))
 
 
 def test_an_unplugged_port_is_lost_to_reader_and_writer_and_so_is_a_closed_one_rather_than_another_file(line, port):
@@ -102,11 +95,6 @@ def test_an_unplugged_port_is_lost_to_reader_and_writer_and_so_is_a_closed_one_r
         with pytest.raises(PortLost, match=words):
             port.writePort([1, 2, 3])
         port.closePort()
-
-
-def test_a_device_that_takes_no_bytes_is_lost_and_not_waited_for(port):
-    with pytest.raises(PortLost, match="timeout"):
-        port.writePort(bytes(100_000))
 
 
 def test_a_network_port_is_used_like_a_local_one_with_more_patience(line):
@@ -122,10 +110,6 @@ def test_a_network_port_is_used_like_a_local_one_with_more_patience(line):
             port.receive(1.0)
         assert port.latency_s == NETWORK_LATENCY_S > LOCAL_LATENCY_S
         port.closePort()
-
-
-def test_a_pseudo_terminal_is_given_more_time_than_a_serial_line_for_a_program_is_behind_it(port):
-    assert port.latency_s == TERMINAL_LATENCY_S > NETWORK_LATENCY_S > LOCAL_LATENCY_S
 
 
 def test_a_port_without_file_descriptor_is_read_with_a_timeout_too():
@@ -198,37 +182,26 @@ def test_a_known_board_is_found_among_others_and_one_of_servo_arms_first(plugged
 
 
 @pytest.mark.parametrize("pair", [(CERTAIN[0], CERTAIN[0]), (CERTAIN[0], CERTAIN[1]), tuple(LESS_CERTAIN[:2])])
-def test_two_boards_are_refused_with_both_names_and_serial_numbers(
+def test_two_boards_are_refused_with_the_names_that_stay_and_serial_numbers_or_sockets(
     plugged_in: list[ListPortInfo], pair: tuple[tuple[int, int], ...], tmp_path: Path
 ) -> None:
-    names = tmp_path / "NAMES_BY_DEVICE"
+    names, by_socket = tmp_path / "NAMES_BY_DEVICE", tmp_path / "NAMES_BY_SOCKET"
     for number, usb_id in enumerate(pair):
         path = tmp_path / f"ttyACM{number}"
         link(names / f"usb-arm-{number}", path)
+        link(by_socket / f"usb-0:{number}", path)
         plugged_in.append(device(str(path), usb_id, number=f"5A7A00{number}"))
+    # A name before the arm's whose device is gone.
+    (names / "usb-absent").symlink_to(tmp_path / "ttyACM9")
     for number, usb_id in enumerate(pair):
         assert f"{names}/usb-arm-{number} ({usb_id_text(usb_id)}, USB serial number 5A7A00{number})" in refusal()
     assert f"name one, as in --serial {names}/usb-arm-0" in refusal()
-
-
-def test_two_boards_without_serial_numbers_differ_by_sockets(plugged_in: list[ListPortInfo], tmp_path: Path) -> None:
-    by_socket = tmp_path / "NAMES_BY_SOCKET"
-    for number in (0, 1):
-        path = tmp_path / f"ttyUSB{number}"
-        link(by_socket / f"usb-0:{number}", path)
-        plugged_in.append(device(str(path), (0x1A86, 0x7523)))
-    link(tmp_path / "NAMES_BY_DEVICE" / "usb-1a86_USB_Serial", tmp_path / "ttyUSB1")
-    for number in (0, 1):
-        assert f"{by_socket}/usb-0:{number} (1a86:7523, no USB serial number)" in refusal()
-
-
-def test_a_board_has_the_name_that_stays(plugged_in: list[ListPortInfo], tmp_path: Path) -> None:
-    names, path = tmp_path / "NAMES_BY_DEVICE", tmp_path / "ttyACM0"
-    link(names / "usb-arm", path)
-    # A name before the arm's whose device is gone.
-    (names / "usb-absent").symlink_to(tmp_path / "ttyACM9")
-    plugged_in += [device(str(path), CERTAIN[0])]
-    assert resolve_port("auto") == str(names / "usb-arm")
+    (names / "usb-arm-0").unlink()
+    for number, board in enumerate(plugged_in):
+        board.serial_number = None
+        assert f"{by_socket}/usb-0:{number} ({usb_id_text(pair[number])}, no USB serial number)" in refusal()
+    plugged_in[:] = [device(str(tmp_path / "ttyACM1"), pair[1], number="5A7A001")]
+    assert resolve_port("auto") == str(names / "usb-arm-1")
 
 
 def test_any_board_is_found_by_its_usb_id_and_one_that_is_not_there_is_named(plugged_in: list[ListPortInfo]) -> None:
@@ -276,21 +249,15 @@ SERVOS = tuple(joint.joint for joint in CALIBRATION.joints)
 POSE = {"elbow_flex": 0.4}
 
 
-def test_an_arm_with_servos_has_the_joints_of_its_calibration_and_an_ideal_one_all_that_move() -> None:
+def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_themselves() -> None:
     robot = so101()
     for kind in ("feetech", "dynamixel"):
-        for config in (SerialConfig(CALIBRATION, "/dev/arm", kind), EmulatedConfig(CALIBRATION, kind=kind)):
-            assert config.joint_names(robot) == SERVOS, config
-    assert IdealConfig().joint_names(robot) == tuple(joint.name for joint in robot.movable_joints)
-
-
-def test_simulated_joints_resume_where_they_were_left_and_real_ones_stay_by_themselves() -> None:
-    for kind in ("feetech", "dynamixel"):
-        emulated = EmulatedConfig(CALIBRATION, kind=kind, drop=0.1)
+        real, emulated = SerialConfig(CALIBRATION, "/dev/arm", kind), EmulatedConfig(CALIBRATION, kind=kind, drop=0.1)
+        assert real.joint_names(robot) == emulated.joint_names(robot) == SERVOS
         assert emulated.resumed(POSE, driven=True) == replace(emulated, start_rad=POSE, driven=True, resumes=True)
-    assert IdealConfig(0.2).resumed(POSE, driven=False) == IdealConfig(0.2, start_rad=POSE, driven=False)
+        assert real.resumed(POSE, driven=True) == real
+    ideal = IdealConfig(0.2)
+    assert ideal.joint_names(robot) == tuple(joint.name for joint in robot.movable_joints)
+    assert ideal.resumed(POSE, driven=False) == IdealConfig(0.2, start_rad=POSE, driven=False)
     assert replace(emulated, rate=10.0).resumed(POSE, ClockReading(7.0, 2007.0), driven=True).clock == (7.0, 2007.0)
     assert emulated.resumed(POSE, ClockReading(7.0, 2007.0), driven=True).clock is None
-    for kind in ("feetech", "dynamixel"):
-        real = SerialConfig(CALIBRATION, "/dev/arm", kind)
-        assert real.resumed(POSE, driven=True) == real

@@ -22,28 +22,20 @@ from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import so101
 
 
-def without_masses(urdf: str) -> str:
-    return re.sub(r"<inertial>.*?</inertial>", "", urdf, flags=re.DOTALL)
-
-
-def test_masses_and_limits_are_those_of_the_urdf() -> None:
-    built = compiled(arm_model(so101()))
-    assert float(built.body_mass.sum()) == pytest.approx(0.632, abs=0.001)
-    joints = {name: so101().joints[name] for name in ("shoulder_pan", "gripper")}
-    for name, joint in joints.items():
-        assert built.jnt_range[built.joint(name).id].tolist() == pytest.approx([joint.lower, joint.upper])
-
-
 @pytest.mark.parametrize("name", robot_folder.built_in_names())
-def test_every_built_in_arm_has_a_model(name: str) -> None:
+def test_every_built_in_arm_has_a_model_with_the_masses_and_limits_of_its_urdf(name: str) -> None:
     robot = robot_folder.built_in(name).model
     built = compiled(arm_model(robot))
     assert {joint.name for joint in robot.movable_joints} <= {built.joint(at).name for at in range(built.nv)}
+    for joint in robot.movable_joints:
+        limits = [0.0, 0.0] if joint.type == "continuous" else [joint.lower, joint.upper]
+        assert built.jnt_range[built.joint(joint.name).id].tolist() == pytest.approx(limits)
+    assert name != "so101" or float(built.body_mass.sum()) == pytest.approx(0.632, abs=0.001)
 
 
 def test_links_without_a_mass_have_one_from_their_shapes_which_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
     real = so101()
-    light = model.parse(without_masses(real.urdf), real.srdf)
+    light = model.parse(re.sub(r"<inertial>.*?</inertial>", "", real.urdf, flags=re.DOTALL), real.srdf)
     with caplog.at_level(logging.WARNING):
         # An arm that cannot be opened is tried again every two seconds.
         arm_model(light)
@@ -53,29 +45,24 @@ def test_links_without_a_mass_have_one_from_their_shapes_which_is_said_once(capl
         "gripper_link, moving_jaw_so101_v1_link; estimated from the collision shapes at 600 kg/m^3"
     ]
     assert float(built.body_mass.sum()) == pytest.approx(0.632, rel=0.5)
-
-
-def test_a_link_without_mass_and_shape_weighs_next_to_nothing() -> None:
+    # A link without mass and shape weighs next to nothing.
     built = compiled(arm_model(model.parse(robots.SEVEN_JOINT_URDF, robots.SEVEN_JOINT_SRDF)))
     (turret_kg,) = built.body("turret").mass
     assert 0.0 < turret_kg < 1e-5
     assert float(built.body_mass.sum()) > 0.1
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
+def test_a_mesh_that_mujoco_cannot_read_is_named(tmp_path: Path) -> None:
+    for name, text, words in (
         ("base.dae", "<COLLADA/>", r"base\.dae cannot be loaded by physics, only \.stl, \.obj, \.msh"),
         ("base.stl", "nothing", r"cannot be loaded by MuJoCo: .*base\.stl"),
-    ],
-)
-def test_a_mesh_that_mujoco_cannot_read_is_named(tmp_path: Path, name: str, text: str, words: str) -> None:
-    mesh = tmp_path / name
-    mesh.write_text(text)
-    urdf = robots.SEVEN_JOINT_URDF.replace('<cylinder radius="0.06" length="0.1"/>', f'<mesh filename="{mesh}"/>')
-    robot = model.parse(urdf, robots.SEVEN_JOINT_SRDF, mesh_directory=tmp_path)
-    with pytest.raises(DescriptionError, match=words):
-        compiled(arm_model(robot))
+    ):
+        mesh = tmp_path / name
+        mesh.write_text(text)
+        urdf = robots.SEVEN_JOINT_URDF.replace('<cylinder radius="0.06" length="0.1"/>', f'<mesh filename="{mesh}"/>')
+        robot = model.parse(urdf, robots.SEVEN_JOINT_SRDF, mesh_directory=tmp_path)
+        with pytest.raises(DescriptionError, match=words):
+            compiled(arm_model(robot))
 
 
 def opened(name: str, clock: SteppedClock, **settings: Any) -> HardwareInterface:
@@ -83,7 +70,7 @@ def opened(name: str, clock: SteppedClock, **settings: Any) -> HardwareInterface
 
 
 @pytest.mark.parametrize("name", ["fetch", "so101"])
-def test_joints_follow_their_goals_as_without_physics(name: str) -> None:
+def test_joints_follow_their_goals_as_without_physics_and_stay_where_they_are_relaxed(name: str) -> None:
     clock = SteppedClock()
     light, physical = opened(name, clock), opened(name, clock, physics=True)
     assert (type(light), type(physical)) == (IdealArm, PhysicalArm)
@@ -99,12 +86,9 @@ def test_joints_follow_their_goals_as_without_physics(name: str) -> None:
     expected, measured = light.read(), physical.read()
     assert measured.position_rad == pytest.approx(expected.position_rad, abs=0.01)
     assert np.abs(measured.velocity_rad_s) == pytest.approx(0.0, abs=0.02)
-
-
-def test_relaxed_joints_stay_since_the_arm_carries_its_weight() -> None:
-    clock = SteppedClock()
-    arm = opened("so101", clock, physics=True, start_rad={"shoulder_lift": 0.9, "elbow_flex": -0.6})
+    # The arm carries its weight without torque, too.
+    run_to_end(physical.switch_off(), clock.advance)
     for _ in range(200):
         clock.advance(0.01)
-        measured = arm.read()
-    assert measured.position_rad[1] == pytest.approx(0.9, abs=0.01)
+        relaxed = physical.read()
+    assert relaxed.position_rad == pytest.approx(measured.position_rad, abs=0.01)

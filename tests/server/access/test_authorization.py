@@ -131,6 +131,8 @@ def test_a_role_that_changes_counts_from_then_on_and_nobody_may_do_nothing() -> 
     assert asked(world.authorizer(None), "call_service", "/arm/stop") is not None
     authorizer = world.authorizer(OTTO)
     assert asked(authorizer, "publish", "/a") is asked(authorizer, "publish", GOAL) is None
+    authorizer.authenticate(ADA)
+    assert world.access.lease.holder is not None
     authorizer.authenticate(SCREEN)
     for topic in ("/a", "/a", GOAL, GOAL):
         assert asked(authorizer, "publish", topic) is not None

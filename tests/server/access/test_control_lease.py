@@ -115,10 +115,10 @@ def test_nobody_but_an_admin_by_token_takes_it_from_another(leased: Leased) -> N
 def test_after_an_admin_released_control_its_former_holder_waits(leased: Leased) -> None:
     leased.b.identity = Identity("ada", Role.ADMIN)
     leased.lease.release(leased.b, 1.0)
-    assert "b has taken control from another; it is free in 2 s" in str(leased.lease.drive(leased.a, 2.0))
-    assert leased.lease.drive(leased.b, 2.5) is None
-    leased.lease.release(leased.b, 2.6)
-    assert leased.lease.drive(leased.a, 2.7) is None
+    assert "b has taken control from another; it is free in 1 s" in str(leased.lease.drive(leased.a, 3.5))
+    assert leased.lease.drive(leased.b, 3.6) is None
+    leased.lease.release(leased.b, 3.7)
+    assert leased.lease.drive(leased.a, 3.8) is None
 
 
 @pytest.mark.parametrize("leaves", [True, False])

@@ -3,6 +3,7 @@
 import functools
 import os
 import re
+import signal
 from collections.abc import Callable
 
 import pytest
@@ -258,6 +259,27 @@ def test_a_servo_unplugged_while_it_is_written_is_asked_for_again(run_setup, kit
     assert ids(kit) == [1, 1, 1, 1, 1, 6]
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize(("register", "value"), [(Register.ID, 6), (Register.BAUD_RATE, 0)])
+def test_a_signal_while_a_servo_takes_a_new_id_or_baud_rate_leaves_it_locked(
+    run_setup, kit, plug, monkeypatch, register, value, number
+):
+    set_registers(kit.servos[5], {Register.BAUD_RATE: 1})
+    port, once = kit.emulator.port, iter([True])
+    receive = type(port).receive
+
+    def receive_until_taken(timeout_s):
+        if kit.servos[5].value(register) == value and kit.servos[5].value(Register.LOCK) == 0 and next(once, False):
+            signal.raise_signal(number)
+        return receive(port, timeout_s)
+
+    monkeypatch.setattr(port, "receive", receive_until_taken, raising=False)
+    code, person = run_setup("--joint", "gripper", "--yes", plug=plug)
+    assert (code, next(once, None)) == (ExitCode.FAILED, None)
+    assert "run the command again to go on" in person.said
+    assert kit.servos[5].value(Register.LOCK) == 1
+
+
 def test_an_arm_that_holds_is_lowered_and_written_with_the_profile_that_was_asked_for(run_setup, kit):
     arm_of(kit)
     kit.servos[2].hold()
@@ -327,17 +349,14 @@ def test_a_servo_of_an_unknown_model_needs_a_word_that_it_is_fine(run_setup, kit
     assert run_setup("--joint", "gripper", "--yes", "--any-model", plug=plug)[0] == ExitCode.DONE
 
 
-@pytest.mark.parametrize(
-    ("options", "code", "words"),
-    [
+def test_an_arm_that_cannot_be_set_up_is_left_alone(run_setup, kit):
+    for options, code, words in (
         (("--registers", "--yes"), ExitCode.FAILED, "several servos with the id 1"),
         (("--robot", "koch_v1_1"), ExitCode.USAGE, "this command needs Feetech servos"),
         (("--joint", "elbow"), ExitCode.USAGE, "elbow_flex"),
-    ],
-)
-def test_an_arm_that_cannot_be_set_up_is_left_alone(run_setup, kit, options, code, words):
-    kit.plug(4, 5)
-    before = [kit.held(place) for place in range(6)]
-    done, person = run_setup(*options)
-    assert (done, [kit.held(place) for place in range(6)]) == (code, before)
-    assert words in person.said
+    ):
+        kit.plug(4, 5)
+        before = [kit.held(place) for place in range(6)]
+        done, person = run_setup(*options)
+        assert (done, [kit.held(place) for place in range(6)]) == (code, before)
+        assert words in person.said

@@ -179,9 +179,8 @@ async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorde
     assert subscribed() == []
 
 
-@pytest.mark.parametrize(
-    ("marks", "episodes"),
-    [
+def test_marks_make_episodes() -> None:
+    for marks, episodes in (
         ([], [Episode(0.0, 9.0, "")]),
         (
             [(1.0, "start pick the cube"), (3.0, "stop"), (4.0, "start"), (6.0, "stop")],
@@ -191,27 +190,22 @@ async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorde
         # A discard between episodes drops the last one.
         ([(1.0, "start"), (2.0, "stop"), (3.0, "start"), (4.0, "stop"), (5.0, "discard")], [Episode(1.0, 2.0, "")]),
         ([(1.0, "start"), (2.0, "discard")], []),
-    ],
-)
-def test_marks_make_episodes(marks: list[tuple[float, str]], episodes: list[Episode]) -> None:
-    assert episodes_of(marks, 0.0, 9.0) == (episodes, [])
+    ):
+        assert episodes_of(marks, 0.0, 9.0) == (episodes, [])
 
 
-@pytest.mark.parametrize(
-    ("texts", "count", "sentence"),
-    [
+def test_a_mark_that_does_not_fit_is_said() -> None:
+    for texts, count, sentence in (
         (["start"], 1, "was not stopped, and ends with the file"),
         (["start", "start", "stop"], 2, "within another"),
         (["stop"], 0, "has no start"),
         (["discard"], 0, "has no episode"),
         (["go"], 0, "data: must be 'start', 'start TASK', 'stop' or 'discard', not 'go'"),
         (["start " + "x" * 301], 0, "task: must have at most 300 characters, not 301"),
-    ],
-)
-def test_a_mark_that_does_not_fit_is_said(texts: list[str], count: int, sentence: str) -> None:
-    episodes, (note,) = episodes_of(list(enumerate(texts, start=1)), 0.0, 9.0)
-    assert len(episodes) == count
-    assert sentence in note
+    ):
+        episodes, (note,) = episodes_of(list(enumerate(texts, start=1)), 0.0, 9.0)
+        assert len(episodes) == count
+        assert sentence in note
 
 
 def test_a_task_is_one_line() -> None:

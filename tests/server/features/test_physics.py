@@ -11,15 +11,16 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from protocol.errors import MessageError
 from robot.messages import ArmState, Mode, PauseSimulation
-from robot.physics.bodies import MAX_BODIES, BodyState, BodyStates, SetBodies
+from robot.physics.bodies import MAX_BODIES, MAX_HULL_CORNERS, BodyShape, BodyState, BodyStates, SetBodies
 from server.config import NamedArmSettings, Settings
 from server.errors import ConfigurationError
-from server.features.physics import DROPPED_AFTER_S, MAX_STEPS, RELEASED_AFTER_S, ArmWorld, Physics
+from server.features.physics import DROPPED_AFTER_S, MAX_STEPS, RELEASED_AFTER_S, ArmWorld, Physics, body_of, read_world
 from server.graph.permissions import Node, Role, Rule
 from server.graph.topics import Graph, LocalGraph
 from tests.helpers.graph import answered
-from tests.helpers.moveit import REGISTRY, ROBOT, box, current_state, diff, held, pose, scene_state
+from tests.helpers.moveit import REGISTRY, ROBOT, box, collision_object, current_state, diff, held, pose, scene_state
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 FINGERS = ("gripper_link", "moving_jaw_so101_v1_link")
@@ -285,9 +286,12 @@ FIXED = "'wall' stays where it is: move it in the planning scene, or make it mov
 MASS = "mass must be 0 to 100 kg, 0 for a mass by its volume, not"
 
 
-@pytest.mark.parametrize(
-    ("service", "asked", "said"),
-    [
+async def test_what_no_body_can_have_is_refused(stage: Stage) -> None:
+    stage.apply({"id": "floor", "planes": [{"coef": [0.0, 0.0, 1.0, 0.05]}], "plane_poses": [pose()]})
+    assert stage.arm.bodies["floor"].shapes[0].position_m == (0.0, 0.0, -0.05)
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    sent = len(stage.arm.sent)
+    for service, asked, said in (
         ("set_pose", {"id": "ball", "pose": pose()}, "the physics has no object 'ball'"),
         ("set_pose", {"id": "wall", "pose": pose()}, FIXED),
         ("set_pose", {"id": "cube", "pose": pose(math.nan)}, "pose.position.x must be a finite number, not nan"),
@@ -297,16 +301,10 @@ MASS = "mass must be 0 to 100 kg, 0 for a mass by its volume, not"
         ("set_body", {"id": "wall", "mass": math.nan}, f"{MASS} nan"),
         ("set_body", {"id": "wall", "friction": 11.0}, "friction must be 0 to 10, 0 for 1, not 11"),
         ("set_body", {"id": "floor"}, "'floor' has a plane, and cannot be movable"),
-    ],
-)
-async def test_what_no_body_can_have_is_refused(stage: Stage, service: str, asked: dict[str, Any], said: str) -> None:
-    stage.apply({"id": "floor", "planes": [{"coef": [0.0, 0.0, 1.0, 0.05]}], "plane_poses": [pose()]})
-    assert stage.arm.bodies["floor"].shapes[0].position_m == (0.0, 0.0, -0.05)
-    stage.call("/simulation/set_body", id="cube", movable=True)
-    sent = len(stage.arm.sent)
-    movable = {"movable": True} if service == "set_body" else {}
-    assert stage.call(f"/simulation/{service}", **asked, **movable) == (False, said)
-    assert len(stage.arm.sent) == sent
+    ):
+        movable = {"movable": True} if service == "set_body" else {}
+        assert stage.call(f"/simulation/{service}", **asked, **movable) == (False, said)
+        assert len(stage.arm.sent) == sent, said
 
 
 async def test_more_objects_than_physics_has_are_left_out(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
@@ -339,22 +337,18 @@ async def test_a_reset_brings_back_the_world_that_was_loaded() -> None:
 LEFT, PLANE = box("left", at=pose(0.3, 0.3, 0.05)), {"coef": [0.0, 0.0, 1.0, 0.05]}
 
 
-@pytest.mark.parametrize(
-    ("objects", "sentence"),
-    [
+async def test_a_world_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    for objects, sentence in (
         ([LEFT, box("right", at=pose(0.3, 0.32, 0.05))], "'left' overlaps 'right' by 30 mm, more than 2 mm"),
         ([box("left", at=pose(math.nan))], "the object 'left': .*pose.position.x must be a finite number"),
         ([box(str(at)) for at in range(MAX_BODIES + 1)], "it has 101 objects, more than 100"),
         ([{"id": "left", "planes": [PLANE], "plane_poses": [pose()]}], "'left' has a plane, and cannot be movable"),
-    ],
-    ids=["overlap", "not finite", "too many", "plane"],
-)
-async def test_a_world_that_cannot_be_is_refused(objects: list[dict[str, Any]], sentence: str, tmp_path: Path) -> None:
-    path = tmp_path / "world.json"
-    bodies = [{"id": each["id"], "movable": True} for each in objects]
-    path.write_text(json.dumps({"world": {"collision_objects": objects}, "bodies": bodies}))
-    with pytest.raises(ConfigurationError, match=rf"simulation\.world: .*{sentence}"):
-        Stage(world=str(path))
+    ):
+        path = tmp_path / "world.json"
+        bodies = [{"id": each["id"], "movable": True} for each in objects]
+        path.write_text(json.dumps({"world": {"collision_objects": objects}, "bodies": bodies}))
+        with pytest.raises(ConfigurationError, match=rf"simulation\.world: .*{sentence}"):
+            Stage(world=str(path))
 
 
 def two_arms(roll_rad: float = 0.0) -> Stage:
@@ -407,3 +401,81 @@ async def test_time_stands_still_for_both_arms(two: Stage) -> None:
 async def test_an_arm_that_leans_has_no_physics() -> None:
     with pytest.raises(ConfigurationError, match=r"arms\.left\.base_rpy_rad: physics needs an upright arm.*not 0\.1"):
         two_arms(roll_rad=0.1)
+
+
+MESSAGE_TYPES = Graph(REGISTRY).message_types
+CUBE = {"id": "cube", "primitives": [{"type": 1, "dimensions": [0.03, 0.03, 0.03]}]}
+
+
+@pytest.mark.parametrize(("name", "movable"), [("cubes", 4), ("table", 1), ("peg", 1)])
+def test_a_built_in_world_has_objects_and_movable_ones(name: str, movable: int) -> None:
+    scene, bodies = read_world(name, MESSAGE_TYPES)
+    assert len(scene["world"]["collision_objects"]) >= len(bodies)
+    assert [body["movable"] for body in bodies] == [True] * movable
+
+
+def test_a_saved_scene_is_a_world_of_fixed_objects(tmp_path: Path) -> None:
+    path = tmp_path / "own.json"
+    path.write_text(json.dumps({"world": {"collision_objects": [CUBE]}}))
+    scene, bodies = read_world(str(path), MESSAGE_TYPES)
+    assert ([each["id"] for each in scene["world"]["collision_objects"]], list(bodies)) == (["cube"], [])
+
+
+def test_what_is_wrong_with_a_file_has_a_sentence(tmp_path: Path) -> None:
+    for content, sentence in (
+        ({"bodies": 3}, "wanted armbridge_msgs/srv/SetBody_Request, got 3"),
+        ({"bodies": [{"id": "cube", "weight": 1.0}]}, "field weight: wanted a field of .*SetBody_Request"),
+        ({"bodies": [{"id": "ball"}]}, r"bodies\[0\]\.id: there is no object 'ball' in the scene"),
+        ({"bodies": [{"id": "cube", "mass": -1.0}]}, r"bodies\[0\]\.mass must be 0 to 100 kg, .* not -1"),
+        ({"bodies": [{"id": "cube", "friction": float("nan")}]}, r"bodies\[0\]\.friction must be 0 to 10, .* nan"),
+        ([], "message: wanted moveit_msgs/msg/PlanningScene, got a list of 0"),
+        ({"objects": []}, "field objects: wanted a field of moveit_msgs/msg/PlanningScene"),
+    ):
+        path = tmp_path / "wrong.json"
+        whole = {"world": {"collision_objects": [CUBE]}, **content} if isinstance(content, dict) else content
+        path.write_text(json.dumps(whole))
+        with pytest.raises((ValueError, MessageError), match=sentence):
+            read_world(str(path), MESSAGE_TYPES)
+
+
+def test_a_file_that_is_not_there_or_no_json_has_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="there is no such file; the built-in worlds are cubes, peg, table"):
+        read_world("cube", MESSAGE_TYPES)
+    path = tmp_path / "broken.json"
+    path.write_text("{")
+    with pytest.raises(ValueError, match="Expecting property name"):
+        read_world(str(path), MESSAGE_TYPES)
+
+
+def shape_of(**fields: Any) -> BodyShape:
+    contents = scene_state(collision_object(id="it", **fields)).contents
+    (shape,) = body_of(contents.objects["it"]).shapes
+    return shape
+
+
+def test_round_shapes() -> None:
+    for kind, expected in ((2, ("sphere", (0.06,))), (3, ("cylinder", (0.02, 0.03))), (4, ("hull", ()))):
+        shape = shape_of(primitives=[{"type": kind, "dimensions": [0.06, 0.02]}], primitive_poses=[pose()])
+        assert (shape.kind, shape.size_m) == expected
+        if kind == 4:
+            assert np.ptp(np.array(shape.vertices_m), axis=0) == pytest.approx([0.04, 0.04, 0.06]), kind
+
+
+def test_a_plane_has_its_normal_along_z() -> None:
+    for normal, place in (((0.0, 0.0, 1.0), (0.0, 0.0, -0.05)), ((0.0, 0.0, -1.0), (0.0, 0.0, 0.05))):
+        shape = shape_of(planes=[{"coef": [*normal, 0.05]}], plane_poses=[pose()])
+        assert shape.position_m == pytest.approx(place)
+        x, y, _, _ = shape.orientation
+        assert 1.0 - 2.0 * (x * x + y * y) == pytest.approx(normal[2])
+
+
+def test_a_mesh_of_many_corners_has_its_outermost_ones() -> None:
+    vertices = np.random.default_rng(3).normal(size=(3000, 3))
+    vertices *= 0.05 / np.linalg.norm(vertices, axis=1)[:, np.newaxis]
+    mesh = {
+        "vertices": [dict(zip("xyz", each, strict=True)) for each in vertices.tolist()],
+        "triangles": [{"vertex_indices": [at, at + 1, at + 2]} for at in range(0, 2998, 3)],
+    }
+    corners = np.array(shape_of(meshes=[mesh], mesh_poses=[pose()]).vertices_m)
+    assert 100 < len(corners) <= MAX_HULL_CORNERS
+    assert np.ptp(corners, axis=0) == pytest.approx([0.1] * 3, rel=0.02)

@@ -60,9 +60,7 @@ FRAMES = {
 
 
 @pytest.mark.parametrize("what", [*WRONG, *FRAMES])
-def test_whatever_else_than_a_right_auth_comes_first_ends_the_connection_and_does_nothing(
-    world: InProcess, what: str
-) -> None:
+def test_anything_but_a_right_auth_at_first_ends_the_connection_and_does_nothing(world: InProcess, what: str) -> None:
     world.client("x").receive_frame({**WRONG, **FRAMES}[what])
     assert world.closed["x"].startswith("auth: " if what in WRONG else "")
     assert world.closed["x"]

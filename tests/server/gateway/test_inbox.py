@@ -194,9 +194,7 @@ def test_a_long_frame_of_few_values_is_carried_out_at_once(world: World) -> None
     assert world.done == ["/a"]
 
 
-def test_a_stop_goes_ahead_of_its_clients_own_operations_and_those_move_nothing_any_more(
-    world: World, client: Handler
-) -> None:
+def test_a_stop_goes_ahead_of_its_clients_own_operations_and_those_move_nothing(world: World, client: Handler) -> None:
     client.publish(*["/a", "/goal"] * 10)
     client.publish("/stop")
     assert world.done[-1] == "/stop"

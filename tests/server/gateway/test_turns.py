@@ -29,9 +29,7 @@ async def test_a_job_ends_in_the_event_loop_with_its_result_and_its_cost(threads
     assert cost_s >= 0
 
 
-async def test_a_job_that_raises_is_logged_and_tells_that_it_failed(
-    threads: Threads, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_job_that_raises_is_logged_and_told(threads: Threads, caplog: pytest.LogCaptureFixture) -> None:
     failed = asyncio.Event()
 
     def job() -> None:

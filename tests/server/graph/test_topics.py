@@ -46,9 +46,7 @@ def test_a_message_that_is_only_latched_reaches_late_subscribers_alone(graph: Gr
 
 
 @pytest.mark.parametrize("timeout_s", [UNREGISTER_TIMEOUT_S, 1.0])
-def test_a_topic_and_its_latched_message_outlive_their_publisher_for_a_while(
-    clock: FakeClock, timeout_s: float
-) -> None:
+def test_a_topic_and_its_latched_message_outlive_their_publisher_a_while(clock: FakeClock, timeout_s: float) -> None:
     graph, other = Graph(REGISTRY, clock, unregister_timeout_s=timeout_s), Node("other")
     graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
     graph.publish(TALKER, "/t", {"data": "old"})

@@ -57,9 +57,7 @@ def test_an_obstacle_to_goals_is_a_reason_to_be_unready(sources: Sources) -> Non
         assert (health.live, health.ready, health.reasons) == (True, False, (reason,)), changes
 
 
-def test_an_arm_process_that_is_silent_for_long_makes_the_server_dead_unless_it_starts_or_stops(
-    sources: Sources,
-) -> None:
+def test_a_long_silence_of_the_arm_process_makes_the_server_dead_unless_it_starts_or_stops(sources: Sources) -> None:
     sources.arm = WatchedArm(arm_state(), ARM_SILENT_S + 0.1)
     health = check_health(sources)
     reason = "the arm process has been silent for more than 10 s"
@@ -245,13 +243,10 @@ def test_one_that_does_not_read_holds_nobody_up(notifier: SystemdNotifier) -> No
     notifier.notify_watchdog()
 
 
-def test_without_one_nothing_is_told() -> None:
+def test_without_one_nothing_is_told_and_a_lost_one_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     notifier = SystemdNotifier.from_environment({}, 7)
     notifier.notify_ready("ready")
     assert notifier.watchdog_s == 0.0
-
-
-def test_an_unreachable_notifier_is_logged_and_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
     notifier = SystemdNotifier(str(tmp_path / "nobody"))
     notifier.notify_ready("ready")

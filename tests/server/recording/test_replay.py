@@ -3,7 +3,7 @@ from __future__ import annotations
 import asyncio
 import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,9 @@ from server.gateway.settings import ServerSettings
 from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber
 from server.interfaces import load_registry
+from server.recording import replay
 from server.recording.files import RecordedMessage
-from server.recording.replay import MAGIC, RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, serve
+from server.recording.replay import MAGIC, RecordedTopic, RecordingFile, RecordingPlayer, ReplayOptions, messages, serve
 from tests.conformance.cases import INTERFACES
 from tests.server.recordings import REGISTRY, START_NS, entry, record, record_killed, recorded_messages, text
 
@@ -61,11 +62,9 @@ def test_a_damaged_chunk_ends_the_reading(tmp_path: Path) -> None:
     assert len(recorded_messages(tmp_path / "run.mcap")) == 2
 
 
-@pytest.mark.parametrize("compression", list(CompressionType))
-@pytest.mark.parametrize("chunks", [True, False])
-def test_files_of_other_writers_are_read(tmp_path: Path, compression: CompressionType, chunks: bool) -> None:
-    octets = [text(number).octets for number in range(3)]
-    with (tmp_path / "other.mcap").open("wb") as stream:
+def write_other(path: Path, octets: Sequence[bytes], compression: CompressionType, *, chunks: bool = True) -> Path:
+    """Write texts as another program does."""
+    with path.open("wb") as stream:
         writer = Writer(stream, compression=compression, use_chunking=chunks)
         writer.start(profile="ros2")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
@@ -73,7 +72,26 @@ def test_files_of_other_writers_are_read(tmp_path: Path, compression: Compressio
         for number, each in enumerate(octets):
             writer.add_message(channel, START_NS + number, each, START_NS)
         writer.finish()
-    assert [each.octets for each in recorded_messages(tmp_path / "other.mcap")] == octets
+    return path
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+@pytest.mark.parametrize("chunks", [True, False])
+def test_files_of_other_writers_are_read(tmp_path: Path, compression: CompressionType, chunks: bool) -> None:
+    octets = [text(number).octets for number in range(3)]
+    file = write_other(tmp_path / "other.mcap", octets, compression, chunks=chunks)
+    assert [each.octets for each in recorded_messages(file)] == octets
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_chunk_that_unpacks_to_more_than_a_record_may_have_is_damage(
+    tmp_path: Path, compression: CompressionType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(replay, "MAX_RECORD_BYTES", 100_000)
+    file = write_other(tmp_path / "other.mcap", [bytes(100_001)], compression)
+    assert file.stat().st_size < 10_000
+    recording = RecordingFile(file)
+    assert (list(recording.messages()), recording.damaged) == ([], True)
 
 
 def write_json(path: Path) -> None:
@@ -130,15 +148,14 @@ async def test_messages_are_published_in_order_and_at_their_rate(tmp_path: Path)
     assert np.array(played.times_s) - played.times_s[0] == pytest.approx([0.0, 0.05, 0.15])
 
 
-async def test_a_latched_message_is_latched_again(tmp_path: Path) -> None:
+async def test_what_was_latched_is_so_again_and_what_is_unreadable_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     played = Player(tmp_path, [text(7)._replace(latched=True)])
     await played.player.play()
     assert [published.msg for published in played.graph.subscribe(Node("late"), "/t", None, Subscriber(print))] == [
         {"data": "7"}
     ]
-
-
-async def test_an_unreadable_message_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     broken = [text(number)._replace(octets=b"\x00\x01\x00\x00\xff") for number in (1, 2)]
     played = Player(tmp_path, [text(0), *broken, text(3)])
     await played.player.play()
@@ -146,9 +163,7 @@ async def test_an_unreadable_message_is_told_once(tmp_path: Path, caplog: pytest
     assert len([line for line in caplog.messages if "/t: a message of std_msgs/msg/String cannot be read" in line]) == 1
 
 
-async def test_topics_of_the_server_unknown_types_and_second_types_are_left_out_and_told(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_topics_that_cannot_be_offered_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     own = entry("/client_count", "std_msgs/Int32", {"data": 9})
     played = Player(tmp_path, [own, text(1), entry("/t", "std_msgs/Bool", {}, 2)])
     played.player.advertise([RecordedTopic("/own", "my_msgs/msg/Thing", False)])
@@ -168,6 +183,23 @@ async def test_playing_can_be_cancelled_at_any_time(tmp_path: Path) -> None:
     assert playing.cancelled()
 
 
+async def test_large_messages_are_read_a_few_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replay, "BYTES_AT_A_TIME", 20)
+    played = Player(tmp_path, [text(number) for number in range(100)])
+    read, messages = [], RecordingFile.messages
+
+    def noted(recording: RecordingFile) -> Iterator[RecordedMessage]:
+        for message in messages(recording):
+            read.append(len(played.heard))
+            yield message
+
+    monkeypatch.setattr(RecordingFile, "messages", noted)
+    await played.player.play()
+    # How many had been published when each was read.
+    assert all(number - published <= 3 for number, published in enumerate(read))
+    assert len(played.heard) == 100
+
+
 # The server.
 
 
@@ -177,10 +209,14 @@ def options(tmp_path: Path) -> ReplayOptions:
     return ReplayOptions(path, ServerSettings(port=0), AccessSettings(), rate=100.0, delay_s=0.0, loop=False)
 
 
+def served(options: ReplayOptions) -> Coroutine[Any, Any, None]:
+    return serve(options, RecordingFile(options.path).summary())
+
+
 async def test_a_loop_repeats_until_a_signal_ends_it(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     serving = re.compile(r"ws://127\.0\.0\.1:\d+")
-    playing = asyncio.create_task(serve(replace(options, loop=True)))
+    playing = asyncio.create_task(served(replace(options, loop=True)))
     await until(lambda: serving.search(caplog.text))
     async with frame_client(serving.findall(caplog.text)[0]) as client:
         await client.subscribe("/t", "std_msgs/String")
@@ -193,11 +229,11 @@ async def test_a_loop_repeats_until_a_signal_ends_it(options: ReplayOptions, cap
 async def test_it_ends_with_the_recording(options: ReplayOptions, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     async with asyncio.timeout(TIMEOUT_S):
-        await serve(options)
+        await served(options)
         assert "1 topics, 3 messages, 2.0 s" in caplog.text
         assert "replay ended: 3 messages published, 0 could not be read" in caplog.text
         record_killed(options.path, [[text(0)], [text(1)]])
-        await serve(options)
+        await served(options)
     assert "not ended in good order" in caplog.text
     assert "2 messages published" in caplog.text
 
@@ -210,5 +246,28 @@ async def test_types_of_the_users_packages_are_replayed_where_the_settings_name_
     user = load_registry([INTERFACES])
     record(options.path, [entry("/sample", "lab_msgs/Sample", {}, registry=user)], user)
     async with asyncio.timeout(TIMEOUT_S):
-        await serve(replace(options, server=ServerSettings(port=0, interfaces=interfaces)))
+        await served(replace(options, server=ServerSettings(port=0, interfaces=interfaces)))
     assert f"replay ended: {published} messages published" in caplog.text
+
+
+BAG = "rosbag2_bagfile_information"
+BAGS = [
+    ({}, "run: has no metadata.yaml; ros2 bag reindex writes it"),
+    ({"metadata.yaml": "- 1"}, "run: metadata.yaml does not describe the files of a bag"),
+    ({"metadata.yaml": "{"}, "run: metadata.yaml does not describe the files of a bag"),
+    ({"metadata.yaml": f"{BAG}: {{compression_mode: FILE, relative_file_paths: []}}"}, "run: is compressed"),
+    ({"metadata.yaml": f"{BAG}: {{relative_file_paths: [../../a.db3]}}"}, "run/a.db3: cannot be read: No such"),
+    (
+        {"metadata.yaml": f"{BAG}: {{relative_file_paths: [a.db3]}}", "a.db3": "text of no database, at length"},
+        "run/a.db3: is no SQLite file of rosbag2: file is not a database",
+    ),
+]
+
+
+@pytest.mark.parametrize(("files", "sentence"), BAGS)
+def test_a_bag_that_cannot_be_read_is_refused(files: dict[str, str], sentence: str, tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    for name, content in files.items():
+        (tmp_path / "run" / name).write_text(content)
+    with pytest.raises(RecordingError, match=sentence):
+        list(messages(tmp_path / "run"))

@@ -103,16 +103,11 @@ def test_commands_from_everyone_in_the_network_must_be_asked_for_twice(taken_in:
     session_config(ZenohSettings(**exposed))
 
 
-@pytest.mark.parametrize(
-    "listening", ['["tcp/0.0.0.0:7449"]', '{ peer: ["tcp/0.0.0.0:7449"] }', '["tls/0.0.0.0:7449"]']
-)
-def test_an_endpoint_opened_by_a_file_of_zenoh_counts_as_exposed(tmp_path: Path, listening: str) -> None:
-    settings = with_file(tmp_path, f"{{ listen: {{ endpoints: {listening} }} }}", offer=("/arm/*",))
-    with pytest.raises(ConfigurationError, match=r"0\.0\.0\.0:7449 lets everyone"):
-        session_config(settings)
-
-
-def test_machines_that_show_a_certificate_may_send_commands(tmp_path: Path) -> None:
+def test_an_endpoint_opened_by_a_file_of_zenoh_counts_as_exposed_unless_a_certificate_is_needed(tmp_path: Path) -> None:
+    for endpoints in ('["tcp/0.0.0.0:7449"]', '{ peer: ["tcp/0.0.0.0:7449"] }', '["tls/0.0.0.0:7449"]'):
+        settings = with_file(tmp_path, f"{{ listen: {{ endpoints: {endpoints} }} }}", offer=("/arm/*",))
+        with pytest.raises(ConfigurationError, match=r"0\.0\.0\.0:7449 lets everyone"):
+            session_config(settings)
     mutual = "{ transport: { link: { tls: { enable_mtls: true } } } }"
     session_config(with_file(tmp_path, mutual, listen=("tls/0.0.0.0:7449",), offer=("/arm/*",)))
 

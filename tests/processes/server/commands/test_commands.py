@@ -3,7 +3,9 @@
 import asyncio
 import io
 import json
+import os
 import re
+import signal
 import socket
 import stat
 import subprocess
@@ -148,6 +150,14 @@ def test_an_arm_that_a_rehearsed_hand_sweeps_is_calibrated_with_its_true_ranges(
     for joint, nominal in zip(calibration.joints, NOMINAL.joints, strict=True):
         assert (joint.range_min, joint.range_max) == pytest.approx((nominal.range_min, nominal.range_max), abs=3)
         assert str(joint.range_max) in told
+
+
+def test_ctrl_c_ends_a_replay_that_still_reads_its_file(tmp_path: Path) -> None:
+    pipe = tmp_path / "endless.mcap"
+    os.mkfifo(pipe)
+    with armbridge("replay", str(pipe), "--port", "0") as replay, pipe.open("wb"):
+        replay.send_signal(signal.SIGINT)
+        assert replay.wait(TIMEOUT_S) == ExitCode.FAILED
 
 
 TOKENS = {name: f"{name}-0123456789abcdef" for name in ("own", "admin", "filed", "variable")}

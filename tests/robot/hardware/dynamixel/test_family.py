@@ -1,6 +1,5 @@
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 
 from robot.calibration import RAD_PER_TICK
 from robot.emulator.dynamixel import DYNAMIXEL, REBOOT_S
+from robot.emulator.servo_bus import Instruction, InstructionParser
 from robot.errors import NoReply, StartupError
 from robot.faults import FaultCode, ServoAlert
 from robot.hardware.dynamixel.family import (
@@ -79,9 +79,6 @@ def test_a_servo_of_another_model_or_mode_is_refused(
     dynamixels.servo(servo).set(register, value)
     with pytest.raises(StartupError, match=words):
         surveyed(dynamixels)
-
-
-def test_a_servo_whose_model_nobody_knows_is_refused() -> None:
     joint = CALIBRATION.joints[0]
     with pytest.raises(StartupError, match=r"is a 'ax-12' in the arm's robot\.toml; known are xl430-w250, xl330-m288"):
         FAMILY.check_model(replace(joint, servo=replace(joint.servo, model="ax-12")), 12)
@@ -101,18 +98,15 @@ def test_a_firmware_without_watchdog_is_a_warning_and_driven_without(dynamixels:
     assert [servos.hardware.check(0.0) for _ in range(12 * CYCLES_BETWEEN)] == [None] * 12 * CYCLES_BETWEEN
 
 
-def test_a_servo_keeps_to_its_own_limits_in_position_mode_only(dynamixels: SteppedDynamixels) -> None:
-    certain = SERVOS.certain_ticks(2)
-    assert FAMILY.goal_limits_ticks(surveyed(dynamixels)[2].values, certain) == certain
-    dynamixels.servo(2).set(Register.OPERATING_MODE, OperatingMode.POSITION)
-    assert FAMILY.goal_limits_ticks(surveyed(dynamixels)[2].values, certain) == (1300, 2790)
-
-
-def test_the_soft_limits_end_before_the_turns_become_ambiguous(dynamixels: SteppedDynamixels) -> None:
+def test_limits_are_the_servos_in_position_mode_or_end_before_ambiguous_turns(dynamixels: SteppedDynamixels) -> None:
     wide = replace(BOUNDS, lower_rad=np.full(6, -7.0), upper_rad=np.full(6, 7.0))
     bounds = run_to_end(unread_hardware(dynamixels, bounds=wide).survey()).bounds
     assert max(bounds.upper_rad[:5]) < math.pi - 0.3
     assert min(bounds.lower_rad[:5]) > -math.pi + 0.3
+    certain = SERVOS.certain_ticks(2)
+    assert FAMILY.goal_limits_ticks(surveyed(dynamixels)[2].values, certain) == certain
+    dynamixels.servo(2).set(Register.OPERATING_MODE, OperatingMode.POSITION)
+    assert FAMILY.goal_limits_ticks(surveyed(dynamixels)[2].values, certain) == (1300, 2790)
 
 
 def positions(dynamixels: SteppedDynamixels) -> list[float]:
@@ -131,24 +125,22 @@ def test_a_servo_that_counts_turns_holds_and_goes_to_goals_in_its_turns(dynamixe
 
 
 def test_servos_that_hold_have_watchdog_profile_and_limits(dynamixels: SteppedDynamixels) -> None:
+    for servo, register, value in ((3, Register.PWM_LIMIT, 500), (3, Register.GOAL_PWM, 500)):
+        dynamixels.servo(servo).write(register, register.encode(value))
     DynamixelsInUse(dynamixels).enable()
     modes = dynamixels.registers(Register.OPERATING_MODE)
     assert modes == [OperatingMode.EXTENDED_POSITION] * 5 + [OperatingMode.CURRENT_BASED_POSITION]
-    assert dynamixels.registers(Register.GOAL_PWM) == [round(0.8 * FULL_PWM)] * 5 + [FULL_PWM]
+    full = round(0.8 * FULL_PWM)
+    assert dynamixels.registers(Register.GOAL_PWM) == [full, full, 500, full, full, FULL_PWM]
     assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 735
     assert dynamixels.registers(Register.BUS_WATCHDOG) == [WATCHDOG] * 6
     assert min(dynamixels.registers(Register.PROFILE_ACCELERATION)) > 0
     for servo, velocity in enumerate(dynamixels.registers(Register.PROFILE_VELOCITY), 1):
         assert velocity == math.ceil(SERVOS.speed_ticks_s[servo] / TICKS_S_PER_VELOCITY_UNIT)
-
-
-def test_limits_of_the_servo_itself_are_kept(dynamixels: SteppedDynamixels) -> None:
-    for servo, register, value in ((3, Register.PWM_LIMIT, 500), (6, Register.CURRENT_LIMIT, 600)):
-        dynamixels.servo(servo).write(register, register.encode(value))
-    dynamixels.servo(3).write(Register.GOAL_PWM, Register.GOAL_PWM.encode(500))
-    DynamixelsInUse(dynamixels).enable()
-    assert dynamixels.servo(3).value(Register.GOAL_PWM) == 500
-    assert dynamixels.servo(6).value(Register.GOAL_CURRENT) == 600
+    weak = SteppedDynamixels()
+    weak.servo(6).write(Register.CURRENT_LIMIT, Register.CURRENT_LIMIT.encode(600))
+    DynamixelsInUse(weak).enable()
+    assert weak.servo(6).value(Register.GOAL_CURRENT) == 600
 
 
 def test_a_servo_stopped_by_its_watchdog_stays_there(dynamixels: SteppedDynamixels) -> None:
@@ -263,11 +255,6 @@ def bus(dynamixels: SteppedDynamixels) -> Bus:
     return dynamixels.open_bus()
 
 
-def test_a_hardware_error_is_no_error_of_the_instruction(bus: Bus, dynamixels: SteppedDynamixels) -> None:
-    dynamixels.servo(3).fail(0x01)
-    assert bus.write(3, Register.LED, 1) == 0
-
-
 def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, dynamixels: SteppedDynamixels) -> None:
     bus.write(3, Register.BUS_WATCHDOG, 25)
     bus.ask(3, instruction_packet(3, INST_REBOOT), attempts=1)
@@ -277,13 +264,10 @@ def test_a_rebooted_servo_is_silent_for_a_while_and_forgets(bus: Bus, dynamixels
     assert bus.read(3, Register.BUS_WATCHDOG) == 0
 
 
-def test_replies_left_on_the_line_are_not_taken_for_the_next(bus: Bus, dynamixels: SteppedDynamixels) -> None:
+def test_replies_left_on_the_line_or_late_are_not_taken_for_others(bus: Bus, dynamixels: SteppedDynamixels) -> None:
     dynamixels.port.writePort(packet(3, INST_READ, bytes([Register.ID, 0, 1, 0])))
     assert bus.read(3, Register.TORQUE_ENABLE) == 0
     assert bus.counters.discarded_bytes == len(DYNAMIXEL.status_packet(3, 0, bytes([1])))
-
-
-def test_a_reply_that_comes_too_late_is_not_taken_for_the_next() -> None:
     late, soon = (DYNAMIXEL.status_packet(3, 0, bytes([value])) for value in (1, 0))
     replies = iter([[(1.6 * LOCAL_LATENCY_S, late)], [(0.2 * LOCAL_LATENCY_S, soon)]])
     line = ScriptedPort(lambda _instruction: next(replies), DYNAMIXEL)
@@ -293,22 +277,17 @@ def test_a_reply_that_comes_too_late_is_not_taken_for_the_next() -> None:
     assert bus.read(3, Register.TORQUE_ENABLE) == 0
 
 
-def test_a_stuffed_byte_is_no_noise(bus: Bus, dynamixels: SteppedDynamixels) -> None:
+def test_a_stuffed_byte_is_no_noise_and_a_hardware_error_none_of_it(bus: Bus, dynamixels: SteppedDynamixels) -> None:
     # FF FF FD FF little endian needs one.
     dynamixels.servo(3).write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(-131073))
     assert bus.read(3, Register.GOAL_POSITION) == -131073
     assert bus.counters.discarded_bytes == 0
-
-
-def test_a_value_that_is_not_taken_is_told_with_the_servos_error(bus: Bus) -> None:
+    assert Register.PRESENT_POSITION.decode(b"\x00\xf0\xff\xff") == -4096
     bus.write(3, Register.TORQUE_ENABLE, 1)
     with pytest.raises(StartupError, match=r"servo 3 does not take 3 in register OPERATING_MODE \(11\).*error 7"):
         run_to_end(write_verified(bus, 3, Register.OPERATING_MODE, 3))
-
-
-def test_negative_positions_are_in_twos_complement() -> None:
-    assert Register.GOAL_POSITION.encode(-1) == b"\xff\xff\xff\xff"
-    assert Register.PRESENT_POSITION.decode(b"\x00\xf0\xff\xff") == -4096
+    dynamixels.servo(3).fail(0x01)
+    assert bus.write(3, Register.LED, 1) == 0
 
 
 def test_hardware_errors_are_the_controllers_status_flags() -> None:
@@ -318,9 +297,8 @@ def test_hardware_errors_are_the_controllers_status_flags() -> None:
 
 
 # Examples of the e-manual, DYNAMIXEL Protocol 2.0: Ping, Read, Write, Sync Read and Reboot.
-@pytest.mark.parametrize(
-    ("built", "wire"),
-    [
+def test_packets_are_those_of_the_manual() -> None:
+    for built, wire in (
         (packet(1, INST_PING), "fffffd00 01 0300 01 194e"),
         (packet(254, INST_PING), "fffffd00 fe 0300 01 3142"),
         (packet(1, INST_READ, bytes([132, 0, 4, 0])), "fffffd00 01 0700 02 84000400 1d15"),
@@ -329,34 +307,18 @@ def test_hardware_errors_are_the_controllers_status_flags() -> None:
         (packet(1, 0x08), "fffffd00 01 0300 08 2f4e"),
         (DYNAMIXEL.status_packet(1, 0, bytes([0x06, 0x04, 0x26])), "fffffd00 01 0700 55 00060426 655d"),
         (DYNAMIXEL.status_packet(2, 0, (2079).to_bytes(4, "little")), "fffffd00 02 0800 55 001f080000 babe"),
-    ],
-)
-def test_packets_are_those_of_the_manual(built: bytes, wire: str) -> None:
-    assert built == bytes.fromhex(wire)
-
-
-class Sent:
-    """The SDK's port, which keeps what is written."""
-
-    def __init__(self) -> None:
-        self.is_using = False
-        self.data = b""
-
-    def clearPort(self) -> None:  # noqa: N802 - the SDK's name
-        return
-
-    def writePort(self, packet: Sequence[int], /) -> int:  # noqa: N802 - the SDK's name
-        self.data = bytes(packet)
-        return len(packet)
+    ):
+        assert built == bytes.fromhex(wire)
 
 
 @given(st.integers(0, 252), st.sampled_from([1, 2, 3, 8, 0x82, 0x83]), st.binary(max_size=60))
 def test_the_sdk_sends_what_is_built_here(servo_id: int, code: int, parameters: bytes) -> None:
     if b"\xff\xff\xfd" in parameters:
         return
-    port = Sent()
-    assert PacketHandler(2.0).txPacket(port, instruction_packet(servo_id, code, parameters)) == COMM_SUCCESS
-    assert port.data == packet(servo_id, code, parameters)
+    line = ScriptedPort(lambda _instruction: [], DYNAMIXEL)
+    assert PacketHandler(2.0).txPacket(line, instruction_packet(servo_id, code, parameters)) == COMM_SUCCESS
+    (heard,) = InstructionParser(DYNAMIXEL).feed(packet(servo_id, code, parameters), 0.0)
+    assert line.instructions == [heard] == [Instruction(servo_id, code, parameters)]
 
 
 def test_what_the_sdk_would_send_without_its_stuffed_byte_or_cut_off_is_refused() -> None:

@@ -1,5 +1,6 @@
 import contextlib
 import itertools
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -33,12 +34,6 @@ def surveyed(bus: Bus, family: Feetech = FAMILY) -> dict[int, ServoFound]:
     return run(survey(family, bus, ServoMap(family, CALIBRATION, BOUNDS)))
 
 
-def test_a_servo_in_another_operating_mode_is_refused(bus: Bus) -> None:
-    bus.write(2, Register.OPERATING_MODE, 1)
-    with pytest.raises(StartupError, match=r"servo 2 \(shoulder_lift\) is in operating mode 1"):
-        surveyed(bus)
-
-
 def set_all(bus: Bus, profile: ServoProfile) -> None:
     for joint in CALIBRATION.joints:
         for register, value in profile.expected(gripper=joint.servo.gripper).items():
@@ -58,6 +53,12 @@ def test_a_servo_is_as_strong_as_its_settings_and_without_a_threshold_it_is_not_
 
 
 def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bus: Bus) -> None:
+    before = bus.counters.sent
+    found = surveyed(bus, Feetech(LEROBOT))
+    # The model, the settings, and the commands.
+    assert bus.counters.sent - before == 3 * len(IDS)
+    assert all("P_GAIN is 32, not 16" in " ".join(each.sentence for each in found[servo].warnings) for servo in IDS)
+    assert all(found[servo].expected[Register.P_GAIN] == 16 for servo in IDS)
     set_all(bus, LEROBOT)
     bus.write(3, Register.PROTECTION_TIME, 20)
     found = surveyed(bus)
@@ -67,16 +68,10 @@ def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bu
     assert warning.sentence == expected
 
 
-def test_servos_are_compared_with_the_profile_of_the_arm_if_it_has_one(bus: Bus) -> None:
-    found = surveyed(bus, Feetech(LEROBOT))
-    sentences = {servo: [warning.sentence for warning in found[servo].warnings] for servo in IDS}
-    assert all("P_GAIN is 32, not 16" in " ".join(sentences[servo]) for servo in IDS)
-    assert all(found[servo].expected[Register.P_GAIN] == 16 for servo in IDS)
-
-
 @pytest.mark.parametrize(
     ("register", "value", "alert", "words"),
     [
+        (Register.OPERATING_MODE, 1, None, r"servo 2 (shoulder_lift) is in operating mode 1"),
         (Register.MIN_ANGLE_LIMIT, 100, ServoAlert.ANGLE_LIMITS, "(100, "),
         (Register.PHASE, 12 | PHASE_MULTI_TURN, ServoAlert.SEVERAL_TURNS, "its position may overflow"),
         (Register.RETURN_DELAY, 250, ServoAlert.RETURN_DELAY, "500 us later: set register RETURN_DELAY to 0"),
@@ -85,30 +80,27 @@ def test_servos_are_compared_with_the_profile_of_the_arm_if_it_has_one(bus: Bus)
         (Register.MAX_TORQUE, 300, ServoAlert.REGISTER, "30 % of its torque"),
     ],
 )
-def test_a_deviating_setting_is_told(bus: Bus, register: Register, value: int, alert: ServoAlert, words: str) -> None:
+def test_a_deviating_setting_is_told_and_another_mode_refused(
+    bus: Bus, register: Register, value: int, alert: ServoAlert | None, words: str
+) -> None:
     bus.write(2, register, value)
+    if alert is None:
+        with pytest.raises(StartupError, match=re.escape(words)):
+            surveyed(bus)
+        return
     (warning,) = surveyed(bus)[2].warnings
     assert warning.alert is alert
     assert words in warning.sentence
 
 
-def test_an_arm_is_surveyed_in_few_transactions(bus: Bus) -> None:
-    before = bus.counters.sent
-    surveyed(bus)
-    # The model, the settings, and the commands.
-    assert bus.counters.sent - before == 3 * len(IDS)
-
-
 def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: SteppedEmulator) -> None:
-    emulator.open_bus().write(1, Register.MAX_ANGLE_LIMIT, CALIBRATION.joints[0].ticks_from_rad(0.5))
+    bus = emulator.open_bus()
+    bus.write(1, Register.MAX_ANGLE_LIMIT, CALIBRATION.joints[0].ticks_from_rad(0.5))
     found = FeetechsInUse(emulator).found
     assert found.bounds.upper_rad[0] == pytest.approx(0.5, abs=0.05)
     assert found.bounds.upper_rad[1:] == pytest.approx(BOUNDS.upper_rad[1:])
-
-
-def test_servos_without_limits_take_every_goal(emulator: SteppedEmulator) -> None:
     for register in (Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT):
-        emulator.open_bus().write(1, register, 0)
+        bus.write(1, register, 0)
     assert FeetechsInUse(emulator).found.bounds.upper_rad == pytest.approx(BOUNDS.upper_rad)
 
 
@@ -117,13 +109,9 @@ def test_a_servo_is_asked_for_no_more_than_it_is_set_to_give(emulator: SteppedEm
     hardware = FeetechsInUse(emulator).hardware
     assert hardware.full_torque == pytest.approx([0.8, 0.6, 0.8, 0.8, 0.8, 0.5])
     assert hardware._torque.full_limits()[2] == Limit(Register.TORQUE_LIMIT, 600)
-
-
-def test_goals_are_written_with_acceleration_and_velocity_cap(emulator: SteppedEmulator) -> None:
-    servos = FeetechsInUse(emulator)
-    servos.hardware.write_goals(np.zeros(6))
-    ticks, cap = CALIBRATION.joints[0].ticks_from_rad(0.0), servos.hardware.servos.speed_ticks_s[1]
-    assert servos.hardware.bus.sync_read((1,), GOAL_ADDRESS, 7)[1].data == goal_block(ticks, int(np.ceil(cap)))
+    hardware.write_goals(np.zeros(6))
+    ticks, cap = CALIBRATION.joints[0].ticks_from_rad(0.0), hardware.servos.speed_ticks_s[1]
+    assert hardware.bus.sync_read((1,), GOAL_ADDRESS, 7)[1].data == goal_block(ticks, int(np.ceil(cap)))
 
 
 def test_torque_limits_that_servos_have_lost_are_written_again(emulator: SteppedEmulator) -> None:
@@ -181,12 +169,6 @@ WANTED = recalibrated(*CHANGED, homing_offset=-25, range_min=940, range_max=3130
 ELBOW_CHANGED = recalibrated(3, homing_offset=-12, range_min=950)
 
 
-def test_what_the_bus_reads_differs_as_what_a_scan_has_read(bus):
-    found = run_to_end(read_differences(bus, ELBOW_CHANGED))
-    assert found == differences(ELBOW_CHANGED, scan(bus, IDS).registers)
-    assert [each.register for each in found] == [Register.MIN_ANGLE_LIMIT, Register.HOMING_OFFSET]
-
-
 def calibrated_registers_of(bus, servos=IDS):
     """Offset and limits of servos, by id."""
     return {servo: tuple(bus.read(servo, register) for register in REGISTERS) for servo in servos}
@@ -226,7 +208,10 @@ def test_a_write_that_is_interrupted_at_any_step_leaves_no_new_offset_with_old_l
 def test_only_what_differs_is_written_and_it_outlives_a_power_cut(start_emulator, write_log):
     emulator = start_emulator("--write-log", str(write_log))
     bus = emulator.open_bus()
-    run_to_end(write_to_servos(bus, differences(ELBOW_CHANGED, scan(bus, IDS).registers)), emulator.run)
+    found = run_to_end(read_differences(bus, ELBOW_CHANGED))
+    assert found == differences(ELBOW_CHANGED, scan(bus, IDS).registers)
+    assert [each.register for each in found] == [Register.MIN_ANGLE_LIMIT, Register.HOMING_OFFSET]
+    run_to_end(write_to_servos(bus, found), emulator.run)
     emulator.command(power_cycle=[3])
     assert differences(ELBOW_CHANGED, scan(bus, IDS).registers) == []
     written = {(entry["address"], *entry["data"]) for entry in read_write_log(write_log) if entry["data"]}
@@ -257,15 +242,12 @@ def test_registers_of_an_arm_replace_those_of_the_base_at_every_servo() -> None:
     assert gripper[Register.PROTECTION_CURRENT] == 250
 
 
-@pytest.mark.parametrize(
-    ("spec", "words"),
-    [
+def test_a_register_that_cannot_be_is_refused_with_its_place() -> None:
+    for spec, words in (
         (ProfileTable(registers={"P_GAINN": 20}), r"hardware.profile.registers.P_GAINN: there is no such .*P_GAIN"),
         (ProfileTable(registers={"GOAL_POSITION": 20}), "there is no such setting"),
         (ProfileTable(gripper={"P_GAIN": 256}), r"hardware.profile.gripper.P_GAIN: must be 0 to 255, not 256"),
         (ProfileTable(registers={"HOMING_OFFSET": 2048}), "must be -2047 to 2047, not 2048"),
-    ],
-)
-def test_a_register_that_cannot_be_is_refused_with_its_place(spec: ProfileTable, words: str) -> None:
-    with pytest.raises(DescriptionError, match=words):
-        profile_of(spec)
+    ):
+        with pytest.raises(DescriptionError, match=words):
+            profile_of(spec)

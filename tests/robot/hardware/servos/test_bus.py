@@ -16,60 +16,41 @@ from robot.hardware.servos.survey import calibration_refusal, change_refusal, su
 from tests.helpers.servo_families import DYNAMIXEL, FEETECH, IDS, Family
 
 
-def block_read(family: Family, bus: Any) -> dict[int, Any]:
-    """Positions of all servos, in one transaction."""
-    register = family.registers.Register.PRESENT_POSITION
-    frames: dict[int, Any] = bus.sync_read(IDS, register, len(register.encode(0)))
-    return {servo: register.decode(frame.data) for servo, frame in frames.items()}
-
-
-def test_registers_and_blocks_of_several_servos_are_written_and_read(family: Family) -> None:
+def test_registers_and_blocks_are_written_and_read_and_a_servo_that_is_gone_is_named(family: Family) -> None:
     emulator = family.emulator()
-    bus, goal = emulator.open_bus(), family.registers.Register.GOAL_POSITION
+    bus, registers = emulator.open_bus(), family.registers.Register
+    goal, position = registers.GOAL_POSITION, registers.PRESENT_POSITION
     bus.write(3, goal, 700)
     assert [bus.read(servo, goal) for servo in (3, 4)] == [700, 0]
     sent = bus.counters.sent
     bus.sync_write(goal, {servo: goal.encode(100 * servo) for servo in IDS})
     assert bus.counters.sent - sent == 1
     assert [bus.read(servo, goal) for servo in IDS] == [100, 200, 300, 400, 500, 600]
-    sent = bus.counters.sent
-    assert list(block_read(family, bus)) == list(IDS)
-    assert bus.counters.sent - sent == 1
-    assert block_read(family, bus)[3] == bus.read(3, family.registers.Register.PRESENT_POSITION)
-
-
-def test_a_sync_write_of_unequal_or_no_data_is_refused(family: Family) -> None:
-    bus = family.emulator().open_bus()
     for data in ({}, {1: b"\x01", 2: b"\x01\x02"}):
         with pytest.raises(ValueError, match="one length"):
-            bus.sync_write(family.registers.Register.GOAL_POSITION, data)
-
-
-def test_a_servo_that_is_gone_is_named_and_the_others_still_answer(family: Family) -> None:
-    emulator = family.emulator()
-    bus = emulator.open_bus()
+            bus.sync_write(goal, data)
+    sent = bus.counters.sent
+    frames = bus.sync_read(IDS, position, position.size)
+    assert bus.counters.sent - sent == 1
+    assert list(frames) == list(IDS)
+    assert position.decode(frames[3].data) == bus.read(3, position)
     emulator.servo_bus.faults.offline = {3}
     with pytest.raises(NoReply, match="servo 3 ") as silent:
-        bus.read(3, family.registers.Register.TORQUE_ENABLE)
+        bus.read(3, registers.TORQUE_ENABLE)
     assert isinstance(silent.value, TimeoutError)
     assert bus.counters.timeouts > 0
-    assert sorted(block_read(family, bus)) == [1, 2, 4, 5, 6]
+    assert sorted(bus.sync_read(IDS, position, position.size)) == [1, 2, 4, 5, 6]
     emulator.servo_bus.faults.offline = set()
-    assert bus.read(3, family.registers.Register.TORQUE_ENABLE) == 0
+    assert bus.read(3, registers.TORQUE_ENABLE) == 0
 
 
-def test_a_sequence_asks_again_when_a_reply_is_lost(family: Family) -> None:
-    emulator = family.emulator()
-    bus, register = emulator.open_bus(), family.registers.Register.MODEL_NUMBER
-    emulator.servo_bus.faults.drop = 0.4
-    values = [run_to_end(read(bus, servo, register), emulator.run) for servo in IDS]
-    assert values == family.values(emulator, "MODEL_NUMBER")
-    assert bus.counters.retries == bus.counters.timeouts > 0
-
-
-def test_a_sequence_gives_up_after_some_attempts(family: Family) -> None:
+def test_a_sequence_asks_again_when_a_reply_is_lost_and_gives_up_after_some_attempts(family: Family) -> None:
     emulator = family.emulator()
     bus, table = emulator.open_bus(), family.driver.registers
+    emulator.servo_bus.faults.drop = 0.4
+    values = [run_to_end(read(bus, servo, family.registers.Register.MODEL_NUMBER), emulator.run) for servo in IDS]
+    assert values == family.values(emulator, "MODEL_NUMBER")
+    assert bus.counters.retries == bus.counters.timeouts > 0
     emulator.servo_bus.faults.offline = {3}
     for steps in (read(bus, 3, table.torque_enable), read_registers(bus, 3, table.block(table.goal_position))):
         sent = bus.counters.sent
@@ -78,25 +59,17 @@ def test_a_sequence_gives_up_after_some_attempts(family: Family) -> None:
         assert bus.counters.sent - sent == STEP_ATTEMPTS
 
 
-def test_each_step_of_a_sequence_is_one_transaction(family: Family) -> None:
-    bus = family.emulator().open_bus()
-    assert [bus.counters.sent for _ in write_verified(bus, 3, family.registers.Register.GOAL_POSITION, 300)] == [0, 1]
-    assert bus.read(3, family.registers.Register.GOAL_POSITION) == 300
-
-
 def test_a_write_is_verified_though_its_acknowledgement_is_lost(family: Family) -> None:
     emulator = family.emulator()
-    bus, goal = emulator.open_bus(), family.registers.Register.GOAL_POSITION
+    bus, registers = emulator.open_bus(), family.registers.Register
+    # Each step is one transaction.
+    assert [bus.counters.sent for _ in write_verified(bus, 3, registers.GOAL_POSITION, 300)] == [0, 1]
     emulator.servo_bus.faults.drop = 0.3
     for servo in IDS:
-        run_to_end(write_verified(bus, servo, goal, 300 + servo), emulator.run)
+        run_to_end(write_verified(bus, servo, registers.GOAL_POSITION, 300 + servo), emulator.run)
     assert family.values(emulator, "GOAL_POSITION") == [301, 302, 303, 304, 305, 306]
-
-
-def test_a_register_that_keeps_another_value_is_named(family: Family) -> None:
-    bus = family.emulator().open_bus()
     with pytest.raises(StartupError, match=r"servo 1 does not take 5 in register PRESENT_TEMPERATURE \(\d+\)"):
-        run_to_end(write_verified(bus, 1, family.registers.Register.PRESENT_TEMPERATURE, 5))
+        run_to_end(write_verified(bus, 1, registers.PRESENT_TEMPERATURE, 5), emulator.run)
 
 
 Several = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -109,31 +82,21 @@ def table(family: Family) -> RegisterTable:
 
 @Several
 @given(data=st.data())
-def test_every_value_of_a_register_is_read_as_it_was_written(table: RegisterTable, data: st.DataObject) -> None:
-    register = data.draw(st.sampled_from(list(table.registers)))
-    value = data.draw(st.integers(*register.value_range))
-    written = register.encode(value)
-    assert len(written) == register.size
-    assert register.decode(written) == value
-
-
-@Several
-@given(data=st.data())
-def test_a_value_that_does_not_fit_is_refused_by_name(table: RegisterTable, data: st.DataObject) -> None:
+def test_a_value_is_read_as_it_was_written_or_refused_by_name(table: RegisterTable, data: st.DataObject) -> None:
     register = data.draw(st.sampled_from(list(table.registers)))
     lowest, highest = register.value_range
+    value = data.draw(st.integers(lowest, highest))
+    written = register.encode(value)
+    assert (len(written), register.decode(written)) == (register.size, value)
     value = data.draw(st.one_of(st.integers(min_value=highest + 1), st.integers(max_value=lowest - 1)))
     with pytest.raises(ValueError, match=f"{register.name} .* not {value}"):
         register.encode(value)
 
 
-def test_no_two_registers_overlap(family: Family, table: RegisterTable) -> None:
+def test_no_two_registers_overlap_and_data_of_the_wrong_length_is_refused(family: Family, table: RegisterTable) -> None:
     ordered = sorted(family.registers.Register)
     assert ordered == list(table.registers)
     assert all(first + first.size <= second for first, second in pairwise(ordered))
-
-
-def test_data_of_the_wrong_length_is_refused(table: RegisterTable) -> None:
     size = table.goal_position.size
     with pytest.raises(ValueError, match=f"GOAL_POSITION has {size} bytes, not 1"):
         table.goal_position.decode(b"\x01")
@@ -176,11 +139,16 @@ def test_servos_are_found_as_they_are(family: Family, emulator: Any) -> None:
         assert servo.warnings == ()
 
 
-def test_servos_that_do_not_answer_are_named_and_no_cable_if_they_are_emulated(family: Family, emulator: Any) -> None:
-    for offline, sentence in (({3}, r"^no answer from elbow_flex \(id 3\)$"), (set(IDS), "^no servo answers$")):
+def test_servos_that_do_not_answer_are_named_with_the_likely_cause(family: Family, emulator: Any) -> None:
+    for offline, simulated, sentence in (
+        ({3}, True, r"^no answer from elbow_flex \(id 3\)$"),
+        (set(IDS), True, "^no servo answers$"),
+        ({2, 5}, False, r"no answer from shoulder_lift \(id 2\), wrist_roll \(id 5\): check the cable"),
+        (set(IDS), False, "no servo answers: is the arm powered"),
+    ):
         emulator.servo_bus.faults.offline = offline
         with pytest.raises(StartupError, match=sentence):
-            surveyed(family, emulator, simulated=True)
+            surveyed(family, emulator, simulated=simulated)
     emulator.servo_bus.faults.offline = set()
     steps = survey(family.driver, emulator.open_bus(), family.servo_map)
     for _ in range(len(IDS) + 2):
@@ -191,23 +159,18 @@ def test_servos_that_do_not_answer_are_named_and_no_cable_if_they_are_emulated(f
 
 
 def test_a_homing_offset_that_another_program_wrote_is_refused_with_the_remedy(family: Family, emulator: Any) -> None:
-    assert calibration_refusal(family.driver, family.servo_map, surveyed(family, emulator)) == ""
+    servos, before = family.servo_map, surveyed(family, emulator)
+    assert calibration_refusal(family.driver, servos, before) == ""
     calibrated = family.calibration.joints[2].homing_offset
     family.put(emulator, 3, "HOMING_OFFSET", calibrated - 85)
-    reason = calibration_refusal(family.driver, family.servo_map, surveyed(family, emulator))
+    after = surveyed(family, emulator)
+    reason = calibration_refusal(family.driver, servos, after)
     assert f"elbow_flex (id 3) by 7.5 deg ({calibrated - 85} instead of {calibrated} ticks)" in reason
     assert "calibrate the arm again" in reason
     assert family.driver.recalibrate_advice in reason
-
-
-def test_servos_whose_calibration_has_changed_since_the_start_are_refused(family: Family, emulator: Any) -> None:
-    before = surveyed(family, emulator)
-    family.put(emulator, 3, "HOMING_OFFSET", family.calibration.joints[2].homing_offset + 40)
-    after = surveyed(family, emulator)
-    servos = family.servo_map
+    # So is one that has changed since the start, but not the way back to the calibration in use.
     assert change_refusal(family.driver, servos, before, before, offsets_known=False) == ""
     assert "elbow_flex (id 3) (offset" in change_refusal(family.driver, servos, before, after, offsets_known=False)
-    # Back to the calibration in use.
     assert change_refusal(family.driver, servos, after, before, offsets_known=True) == ""
 
 

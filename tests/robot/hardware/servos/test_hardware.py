@@ -46,13 +46,6 @@ FULL = np.array([0.8] * 5 + [0.5])
 PAN_A_LITTLE = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def test_servos_that_hold_are_found_with_their_goals(family: Family, servos: Any) -> None:
-    goal_rad = servos.enable()
-    found = family.in_use(servos.emulator).found
-    assert found.driven.all()
-    assert found.goal_rad == pytest.approx(goal_rad)
-
-
 def test_a_goal_that_a_servo_has_lost_is_written_again(family: Family, servos: Any) -> None:
     servos.enable()
     servos.hardware.write_goals(PAN_A_LITTLE)
@@ -130,24 +123,10 @@ def writes(emulator: Any) -> list[Any]:
     return written
 
 
-def test_missing_servos_are_named_with_the_likely_cause(family: Family) -> None:
+def test_a_relaxed_arm_is_found_and_read_and_nothing_is_written(family: Family) -> None:
     emulator = family.emulator()
     written = writes(emulator)
-    for offline, words in (
-        ({2, 5}, r"no answer from shoulder_lift \(id 2\), wrist_roll \(id 5\): check the cable"),
-        (set(IDS), "no servo answers: is the arm powered"),
-    ):
-        emulator.servo_bus.faults.offline = offline
-        with pytest.raises(StartupError, match=words):
-            run_to_end(family.unread(emulator).survey())
-    emulator.servo_bus.faults.offline = set()
-    assert list(run_to_end(family.unread(emulator).survey()).driven) == [False] * 6
-    assert written == []
-
-
-def test_a_relaxed_arm_is_read_and_nothing_is_written(family: Family) -> None:
-    emulator = family.emulator()
-    written = writes(emulator)
+    assert not family.in_use(emulator).found.driven.any()
     rig = family.rig(emulator, start_enabled=False).started()
     before = rig.state.stamp_s
     rig.run(0.2)
@@ -184,18 +163,14 @@ def test_a_real_arm_with_an_unmeasured_or_another_calibration_is_read_but_not_en
             run_to_end(hardware.enable(range(6)), emulator.run)
         assert written == []
         assert hardware.read().position_rad.shape == (6,)
-
-
-def test_an_emulated_arm_needs_no_calibration(family: Family) -> None:
+    # An emulated arm needs none.
     emulator = family.emulator()
     hardware = surveyed(family, emulator, simulated=True, measured=False)
     run_to_end(hardware.enable(range(6)), emulator.run)
     assert run_to_end(hardware.driven(), emulator.run).all()
 
 
-def test_an_adapter_is_looked_for_each_time_that_it_is_opened_with_the_configured_baud_rate(
-    monkeypatch: pytest.MonkeyPatch, family: Family
-) -> None:
+def test_an_adapter_is_looked_for_each_time_that_it_is_opened(monkeypatch: pytest.MonkeyPatch, family: Family) -> None:
     plugged_in = ListPortInfo("/dev/does-not-exist")
     plugged_in.vid, plugged_in.pid = 0x1A86, 0x55D3
     monkeypatch.setattr(list_ports, "comports", lambda: [plugged_in])
@@ -231,8 +206,13 @@ def test_readings_are_complete_once_every_servo_has_answered(family: Family, tra
     assert tracker.complete
 
 
-def test_a_servo_that_stays_silent_is_asked_last_and_only_now_and_then(family: Family, tracker: ServoTracker) -> None:
+def test_a_servo_that_misses_its_turn_is_asked_last_and_seldom(family: Family, tracker: ServoTracker) -> None:
     answered(family, tracker)
+    for _ in range(MISSES_UNTIL_LAST):
+        answered(family, tracker, 2)
+    assert answered(family, tracker, 2) == [1, 3, 4, 5, 6, 2]
+    answered(family, tracker)
+    assert answered(family, tracker) == [1, 2, 3, 4, 5, 6]
     for _ in range(MISSES_UNTIL_SILENT):
         assert 3 in answered(family, tracker, 3)
     rounds = [answered(family, tracker, 3) for _ in range(10 * ASK_SILENT_EVERY)]
@@ -240,6 +220,11 @@ def test_a_servo_that_stays_silent_is_asked_last_and_only_now_and_then(family: F
     assert len(with_it) == 10
     assert all(asked[-1] == 3 for asked in with_it)
     assert tracker.silent_cycles[3] == MISSES_UNTIL_SILENT + len(rounds)
+    while 3 in tracker.ids_to_ask():
+        answered(family, tracker, 3)
+    assert tracker.is_silent(3)
+    tracker.ask_again(3)
+    assert 3 in tracker.ids_to_ask()
 
 
 def test_where_none_speaks_all_are_asked_at_once_now_and_then(family: Family, tracker: ServoTracker) -> None:
@@ -264,21 +249,18 @@ def kept(family: Family, tracker: ServoTracker, told: dict[int, Any], now_s: flo
     return family.calibration.joints[4].ticks_from_rad(float(tracker.measured(now_s, 0.0).position_rad[4]))
 
 
-def test_a_jump_that_no_joint_can_make_is_not_believed_once(family: Family, tracker: ServoTracker) -> None:
+@pytest.mark.parametrize("repeated", [False, True])
+def test_an_impossible_jump_is_believed_when_it_repeats(family: Family, tracker: ServoTracker, repeated: bool) -> None:
     assert kept(family, tracker, replies(family, 2048), 0.0) == 2048
     for cycle in range(1, 10):
-        at_s, ticks = 0.01 * cycle, 2048 + FAR_TICKS * (cycle % 2)
-        assert kept(family, tracker, replies(family, ticks), at_s) == 2048
+        at_s, jumped = 0.01 * cycle, replies(family, 2048 + FAR_TICKS * (cycle % 2))
+        assert kept(family, tracker, jumped, at_s) == 2048
         assert tracker.age_s(5, at_s) == pytest.approx(0.01 * (cycle % 2))
-
-
-@pytest.mark.parametrize("repeated", [False, True])
-def test_a_jump_in_two_readings_in_a_row_is_believed(family: Family, tracker: ServoTracker, repeated: bool) -> None:
-    kept(family, tracker, replies(family, 2048), 0.0)
-    jumped = replies(family, 2048 + FAR_TICKS)
-    assert kept(family, tracker, jumped, 0.01) == 2048
     again = jumped if repeated else replies(family, 2048 + FAR_TICKS)
-    assert kept(family, tracker, again, 0.02) == 2048 + FAR_TICKS
+    assert kept(family, tracker, again, 0.1) == 2048 + FAR_TICKS
+    # A joint that was not heard for long may have turned far.
+    turned = 2048 + FAR_TICKS - round(5.5 * 0.5 / RAD_PER_TICK)
+    assert kept(family, tracker, replies(family, turned), 0.6) == turned
 
 
 def test_the_same_replies_again_are_readings_as_fresh_as_others(family: Family, tracker: ServoTracker) -> None:
@@ -289,12 +271,6 @@ def test_the_same_replies_again_are_readings_as_fresh_as_others(family: Family, 
     assert measured.age_s == pytest.approx(np.full(6, 0.01))
     assert measured.stamp_s == 7.0
     assert kept(family, tracker, replies(family, 1910), 2.02) == 1910
-
-
-def test_a_joint_that_was_not_heard_for_long_may_have_turned_far(family: Family, tracker: ServoTracker) -> None:
-    kept(family, tracker, replies(family, 1000), 0.0)
-    turned = 1000 + round(5.5 * 0.5 / RAD_PER_TICK)
-    assert kept(family, tracker, replies(family, turned), 0.5) == turned
 
 
 @pytest.mark.parametrize("blinded", [False, True])
@@ -308,23 +284,6 @@ def test_a_silent_servo_hardly_silences_the_others(family: Family, tracker: Serv
         assert np.delete(tracker.measured(0.01 * cycle, 0.0).age_s, 1).max() <= 0.01 * MISSES_UNTIL_LAST + 1e-9
     assert tracker.is_silent(2)
     assert not any(tracker.is_silent(servo) for servo in IDS if servo != 2)
-
-
-def test_a_servo_that_misses_its_turn_is_asked_behind_the_others(family: Family, tracker: ServoTracker) -> None:
-    answered(family, tracker)
-    for _ in range(MISSES_UNTIL_LAST):
-        answered(family, tracker, 2)
-    assert answered(family, tracker, 2) == [1, 3, 4, 5, 6, 2]
-    answered(family, tracker)
-    assert answered(family, tracker) == [1, 2, 3, 4, 5, 6]
-
-
-def test_a_silent_servo_that_must_be_seen_is_asked_at_once(family: Family, tracker: ServoTracker) -> None:
-    for _ in range(MISSES_UNTIL_SILENT):
-        answered(family, tracker, 3)
-    assert tracker.is_silent(3)
-    tracker.ask_again(3)
-    assert 3 in tracker.ids_to_ask()
 
 
 def dynamixel_replies(ticks: int = 2048, *, alerting: int = 0, whole: bool = True) -> dict[int, StatusFrame]:
@@ -341,9 +300,7 @@ def dynamixels() -> ServoTracker:
     return ServoTracker(DYNAMIXEL.driver, DYNAMIXEL.servo_map)
 
 
-def test_readings_are_complete_with_supply_and_temperature_and_in_the_controllers_units(
-    dynamixels: ServoTracker,
-) -> None:
+def test_readings_are_complete_with_supply_and_temperature_in_the_controllers_units(dynamixels: ServoTracker) -> None:
     dynamixels.take(IDS, dynamixel_replies(whole=False), 0.0)
     assert not dynamixels.complete
     dynamixels.take(IDS, dynamixel_replies(), 0.0)

@@ -55,71 +55,55 @@ def torques(family: Family, emulator: Any) -> list[int]:
     return family.values(emulator, "TORQUE_ENABLE")
 
 
-def test_torque_comes_on_without_a_jump(family: Family, emulator: Any, torque: ServoTorque) -> None:
+def test_torque_comes_on_low_and_slowly_without_a_jump(family: Family, emulator: Any, torque: ServoTorque) -> None:
     before, farthest = positions(emulator), 0.0
+    highest_at: list[tuple[float, float]] = []
+    sent = [torque._bus.counters.sent]
     for wait_s in torque.enable(IDS):
         emulator.run(wait_s + 0.002)
+        sent.append(torque._bus.counters.sent)
         farthest = max(farthest, *(abs(now - was) for now, was in zip(positions(emulator), before, strict=True)))
-    emulator.run(0.5)
-    assert torques(family, emulator) == [1] * 6
-    assert positions(emulator) == pytest.approx(before, abs=DROOP_TICKS)
-    assert farthest < DROOP_TICKS
-
-
-def test_torque_begins_low_and_rises_slowly(family: Family, emulator: Any, torque: ServoTorque) -> None:
-    highest_at: list[tuple[float, float]] = []
-    for wait_s in torque.enable(IDS):
-        emulator.run(wait_s)
         driven = [share for share, on in zip(family.limits(emulator), torques(family, emulator), strict=True) if on]
         if driven:
             highest_at.append((emulator.clock(), max(driven)))
         if len(driven) < len(IDS):
             first_s = emulator.clock()
             assert max(driven, default=0.0) <= FIRST_TORQUE + 0.001
+    # Torque limits may be two sync writes: duties, and the gripper's current.
+    assert max(after - earlier for earlier, after in pairwise(sent)) <= 2
     assert all(highest < 0.79 for at_s, highest in highest_at if at_s < first_s + 0.8 * RAISE_S)
     assert family.limits(emulator) == pytest.approx(FULL, abs=0.001)
+    emulator.run(0.5)
+    assert torques(family, emulator) == [1] * 6
+    assert positions(emulator) == pytest.approx(before, abs=DROOP_TICKS)
+    assert farthest < DROOP_TICKS
 
 
-def test_servos_that_hold_keep_their_goals(family: Family, emulator: Any, torque: ServoTorque) -> None:
+def test_servos_that_hold_keep_goals_and_others_join(family: Family, emulator: Any, torque: ServoTorque) -> None:
     goals = enable(torque, emulator)
     goal = family.value(emulator, 2, "GOAL_POSITION") + 40
     family.put(emulator, 2, "GOAL_POSITION", goal)
+    family.put(emulator, 3, "TORQUE_ENABLE", 0)
     assert enable(torque_of(family, emulator), emulator)[2] == pytest.approx(goals[2] + 40, abs=1)
     assert family.value(emulator, 2, "GOAL_POSITION") == goal
+    assert torques(family, emulator) == [1] * 6
 
 
-def test_an_arm_partly_relaxed_gets_its_torque_back_slowly(family: Family, emulator: Any, torque: ServoTorque) -> None:
-    enable(torque, emulator)
-    steps = relax(torque._bus, IDS, torque.full_limits(), torque.full_limits())
-    for _ in range(46):
-        emulator.run(next(steps))
-    assert max(family.limits(emulator)) < 0.1
-    rising = []
-    for wait_s in torque_of(family, emulator).enable(IDS):
-        emulator.run(wait_s)
-        rising.append(family.limits(emulator)[0])
-    assert max(after - before for before, after in pairwise(rising)) < 0.1
-    assert family.limits(emulator) == pytest.approx(FULL, abs=0.001)
-
-
-def test_an_arm_that_has_sunk_in_relaxing_holds_where_it_is(family: Family, emulator: Any, torque: ServoTorque) -> None:
+def test_an_arm_sunk_in_relaxing_holds_again_where_it_is(family: Family, emulator: Any, torque: ServoTorque) -> None:
     before = enable(torque, emulator)
     steps = relax(torque._bus, IDS, torque.full_limits(), torque.full_limits())
     for _ in range(46):
         emulator.run(next(steps))
+    assert max(family.limits(emulator)) < 0.1
     plant = emulator.servo_bus.servos[1].plant
     sunk = plant.position_ticks = plant.position_ticks + 200
-    goals = enable(torque_of(family, emulator), emulator)
+    again, rising = torque_of(family, emulator).enable(IDS), []
+    goals = run_to_end(again, lambda wait_s: (emulator.run(wait_s), rising.append(family.limits(emulator)[0])))
+    assert max(after - earlier for earlier, after in pairwise(rising)) < 0.1
+    assert family.limits(emulator) == pytest.approx(FULL, abs=0.001)
     emulator.run(1.0)
     assert positions(emulator)[1] == pytest.approx(sunk, abs=2 * DROOP_TICKS)
     assert goals[2] - before[2] == pytest.approx(200, abs=2 * DROOP_TICKS)
-
-
-def test_a_half_switched_arm_is_completed(family: Family, emulator: Any, torque: ServoTorque) -> None:
-    enable(torque, emulator)
-    family.put(emulator, 3, "TORQUE_ENABLE", 0)
-    enable(torque, emulator)
-    assert torques(family, emulator) == [1] * 6
 
 
 def test_an_arm_that_moves_is_not_switched_on(family: Family, emulator: Any, torque: ServoTorque) -> None:
@@ -194,35 +178,14 @@ def test_an_emergency_stop_unheard_is_repeated_and_verified(family: Family, emul
     assert torque._bus.counters.sent - sent == BROADCASTS - 2 + len(IDS)
 
 
-def test_servos_whose_torque_cannot_be_verified_are_named(emulator: Any, torque: ServoTorque) -> None:
+def test_servos_are_switched_off_or_named(family: Family, emulator: Any, torque: ServoTorque) -> None:
     enable(torque, emulator)
     emulator.servo_bus.faults.offline = {3, 5}
     assert run_to_end(emergency_stop(torque._bus, IDS), emulator.run) == [3, 5]
     assert run_to_end(switch_off(torque._bus, [3]), emulator.run) == [3]
-
-
-def test_a_servo_deaf_for_a_moment_is_switched_off(family: Family, emulator: Any, torque: ServoTorque) -> None:
-    enable(torque, emulator)
-    emulator.servo_bus.faults.offline = {3}
     steps = switch_off(torque._bus, IDS)
     while next(steps) != OFF_INTERVAL_S:
         pass
     emulator.servo_bus.faults.offline = set()
     assert run_to_end(steps, emulator.run) == []
     assert torques(family, emulator) == [0] * 6
-
-
-def test_no_step_of_enabling_takes_more_than_one_transaction(emulator: Any, torque: ServoTorque) -> None:
-    sent = []
-    for wait_s in torque.enable(IDS):
-        emulator.run(wait_s)
-        sent.append(torque._bus.counters.sent)
-    # Torque limits may be two sync writes: duties, and the gripper's current.
-    assert max(after - before for before, after in pairwise(sent)) <= 2
-
-
-def test_lost_replies_do_not_hinder_the_start(family: Family, emulator: Any, torque: ServoTorque) -> None:
-    emulator.servo_bus.faults.drop = emulator.servo_bus.faults.corrupt = 0.02
-    enable(torque, emulator)
-    assert torque._bus.counters.retries > 0
-    assert torques(family, emulator) == [1] * 6

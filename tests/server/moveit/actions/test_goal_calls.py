@@ -139,9 +139,7 @@ NOT_READ: list[tuple[dict[str, Any], int, str]] = [
 
 
 @pytest.mark.parametrize(("request_", "code", "words"), NOT_READ)
-async def test_a_wrong_request_gets_its_code_and_moves_nothing(
-    desk: Desk, request_: dict[str, Any], code: int, words: str
-) -> None:
+async def test_a_wrong_request_moves_nothing(desk: Desk, request_: dict[str, Any], code: int, words: str) -> None:
     await desk.ask(**request_)
     assert (desk.answer["success"], desk.answer["code"]) == (False, code)
     assert words in desk.answer["message"]
@@ -158,9 +156,7 @@ async def test_a_wrong_request_gets_its_code_and_moves_nothing(
         ({"optimization": "best", "allowed_planning_time": 2.0}, 2.0, 2.0),
     ],
 )
-async def test_a_goal_chooses_the_time_of_its_planning(
-    desk: Desk, fields: Any, time_s: float, allowed_s: float
-) -> None:
+async def test_a_goal_chooses_its_planning_time(desk: Desk, fields: Any, time_s: float, allowed_s: float) -> None:
     await desk.ask(named="ready", **fields)
     problem = desk.asked[0].steps[0].problem(HOME)
     assert (problem.optimization_time_s, problem.allowed_time_s) == (time_s, allowed_s)

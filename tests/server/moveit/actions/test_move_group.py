@@ -224,17 +224,12 @@ async def test_a_plan_alone_that_fails_says_what_would_work(rig: ServiceRig) -> 
         assert result["error_code"]["message"] == straight.message
 
 
-@pytest.mark.parametrize(
-    ("wanted", "attempts"), [(0, move_group.DEFAULT_ATTEMPTS), (3, 3), (100_000, move_group.MAX_ATTEMPTS)]
-)
-def test_planning_anew_has_moveits_default_and_a_bound(wanted: int, attempts: int) -> None:
-    assert asked(to(0.3), replan=True, replan_attempts=wanted).attempts == attempts
-
-
-@pytest.mark.parametrize("field", ["look_around_attempts", "replan_attempts"])
-def test_a_negative_number_of_attempts_is_rejected_by_name(field: str) -> None:
-    refused = rejection(asked, to(0.3), **{field: -1})
-    assert_refused(refused, MoveItErrorCode.FAILURE, f"planning_options.{field} must be 0 or more, not -1")
+def test_planning_anew_has_moveits_default_and_a_bound_and_no_negative_number_of_attempts() -> None:
+    for wanted, attempts in ((0, move_group.DEFAULT_ATTEMPTS), (3, 3), (100_000, move_group.MAX_ATTEMPTS)):
+        assert asked(to(0.3), replan=True, replan_attempts=wanted).attempts == attempts
+    for field in ("look_around_attempts", "replan_attempts"):
+        refused = rejection(asked, to(0.3), **{field: -1})
+        assert_refused(refused, MoveItErrorCode.FAILURE, f"planning_options.{field} must be 0 or more, not -1")
 
 
 def trajectory(position_rad: float, seconds: int = 2) -> dict[str, object]:
@@ -242,9 +237,7 @@ def trajectory(position_rad: float, seconds: int = 2) -> dict[str, object]:
     return {"joint_trajectory": {"joint_names": ["elbow_flex"], "points": [point]}}
 
 
-async def test_a_trajectory_without_points_is_done_at_once_and_multi_dof_joints_are_only_logged(
-    desk: ActionDesk, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_trajectory_without_points_is_done_at_once(desk: ActionDesk, caplog: pytest.LogCaptureFixture) -> None:
     await desk.send(move_group.EXECUTE_ACTION, trajectory={"multi_dof_joint_trajectory": {"points": [{}]}})
     assert (codes(desk), desk.asked) == ([1], [])
     assert "multi_dof_joint_trajectory is ignored" in caplog.text

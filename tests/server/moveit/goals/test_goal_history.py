@@ -92,18 +92,15 @@ async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None
     assert [part["joint_trajectory"]["joint_names"] for part in told["planned"]] == [["shoulder_pan"]]
 
 
-async def test_a_record_has_the_problem_that_failed(records: Records) -> None:
+async def test_a_record_has_the_problem_that_failed_and_none_of_a_goal_that_was_refused(records: Records) -> None:
     failed = answer(MOTION, code=MoveItErrorCode.NO_IK_SOLUTION, text="out of reach", to_rad=0.9)
     take(records, "1", 0.4, 0.9, ends=failed)
     told = await records.record("1")
     assert told["problem_name"] == "goal-1-NO_IK_SOLUTION.json"
     (problem,) = json.loads(told["problem"])["goal_problems"]
     assert problem["goal"]["joints"]["positions_rad"] == {"shoulder_pan": 0.9}
-
-
-async def test_a_goal_that_was_refused_has_a_record_without_a_problem(records: Records) -> None:
-    take(records, "1", ends=Answer(MoveItErrorCode.FAILURE, "there is no pose 'x'"))
-    told = await records.record("1")
+    take(records, "2", ends=Answer(MoveItErrorCode.FAILURE, "there is no pose 'x'"))
+    told = await records.record("2")
     assert (told["success"], told["problem"], told["planned"]) == (True, "", [])
     assert told["message"].startswith("no problem file: the goal was refused before planning")
 

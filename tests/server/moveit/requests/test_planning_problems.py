@@ -144,12 +144,9 @@ def test_a_strict_pose_keeps_its_orientation_and_the_speed_asked_for_on_the_way(
     assert (line.keep_orientation, line.orientation_tolerance_rad, line.tip_speed_m_s) == (True, 0.2, kept)
 
 
-def test_a_circle_leads_through_its_interim_point() -> None:
+def test_a_circle_leads_through_its_interim_point_or_the_shorter_way_around_its_center() -> None:
     arc = constraints(name="interim", position_constraints=[ball(0.35, 0.03, 0.22)])
     assert [segment.via_m for segment in path(planning_problems.CIRCULAR, arc=arc).segments] == [(0.35, 0.03, 0.22)]
-
-
-def test_a_circle_about_a_center_is_the_shorter_way_around_it() -> None:
     start = np.array(FRAMES.resolve(TIP, HOME).position_m)
     center = 0.5 * (start + END) + (0.0, 0.0, -0.1)
     arc = constraints(name="center", position_constraints=[ball(*center.tolist())])

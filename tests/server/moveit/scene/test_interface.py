@@ -186,24 +186,6 @@ def test_a_state_that_is_none_is_refused_with_all_that_comes_with_it():
     assert client.state.contents.objects == {}
 
 
-async def test_an_object_attached_again_as_by_compas_fab_stays_attached():
-    """Put everything down, assume a state, move the thing to the hand, take it by its name alone."""
-    client = Client()
-    assert client.apply(world={"collision_objects": [box("tool")]})
-    for position_rad in (0.1, 0.4, -0.2):
-        put_down = [
-            {"link_name": held["link_name"], "object": {"operation": 1}}
-            for held in client.get(671)["robot_state"]["attached_collision_objects"]
-        ]
-        assert client.apply(robot_state={**state_of(position_rad), "attached_collision_objects": put_down})
-        move = {"id": "tool", "header": {"frame_id": "gripper_link"}, "pose": pose(0.1), "operation": 3}
-        assert client.apply(world={"collision_objects": [move]})
-        take = {"link_name": "gripper_link", "object": {"id": "tool", "header": {"frame_id": "gripper_link"}}}
-        assert client.apply(robot_state={"is_diff": True, "attached_collision_objects": [take]})
-        held = client.state.contents.attached["tool"].collision_object.pose
-        np.testing.assert_allclose(held.position_m, (0.1, 0.0, 0.0), atol=1e-12)
-
-
 # Not the default.
 PERIOD_S = 0.5
 

@@ -68,9 +68,8 @@ def test_attached_objects_change_before_those_of_the_world():
 LISTED = {"is_diff": False, "joint_state": {"name": ["gripper"], "position": [0.0]}}
 
 
-@pytest.mark.parametrize(
-    ("scene", "still_held"),
-    [
+def test_a_state_that_is_no_diff_detaches_unlisted_objects_unless_it_is_empty():
+    for scene, still_held in (
         # A whole scene whose state is a diff keeps them.
         (message("PlanningScene", robot_state={"is_diff": True}), ["cup"]),
         (diff(robot_state={"is_diff": False}), ["cup"]),
@@ -80,10 +79,8 @@ LISTED = {"is_diff": False, "joint_state": {"name": ["gripper"], "position": [0.
         # Missing fields change nothing, but a state of attached objects does.
         ({"is_diff": True}, ["cup"]),
         ({"is_diff": True, "robot_state": {"is_diff": False, "attached_collision_objects": []}}, []),
-    ],
-)
-def test_a_state_that_is_no_diff_detaches_unlisted_objects_unless_it_is_empty(scene, still_held):
-    assert list(changed(TAKE_CUP, scene).attached) == still_held
+    ):
+        assert list(changed(TAKE_CUP, scene).attached) == still_held
 
 
 def test_a_matrix_replaces_the_one_before_and_an_empty_one_is_ignored():
@@ -153,16 +150,13 @@ def test_an_equal_object_or_pose_keeps_the_present_one():
     assert before.objects["cup"].pose == Pose((0.4, 0.0, 0.0))
 
 
-def test_append_adds_shapes_where_the_message_has_them():
+def test_append_adds_shapes_where_the_message_has_them_and_rounds_no_poses():
     append = {"id": "cup", "primitives": [BALL], "primitive_poses": [pose(0.3, 0.2)], "operation": APPEND}
     thing = after_objects(append).objects["cup"]
     assert thing.pose.position_m == (0.3, 0.0, 0.0)
     assert [type(shape) for shape, _ in thing.shapes] == [Box, Sphere]
     placed = matrix_of(thing.pose) @ matrix_of(thing.shapes[1][1])
     np.testing.assert_allclose(placed[:3, 3], (0.3, 0.2, 0.0), atol=1e-12)
-
-
-def test_append_with_the_objects_own_pose_does_not_round_poses():
     append = {**TURNED_CUP, "primitives": [BALL], "primitive_poses": [pose(0.1)], "operation": APPEND}
     thing = after_objects(append | {"subframe_names": ["rim"], "subframe_poses": [pose(0.2)]}).objects["cup"]
     assert thing.shapes[1][1] == Pose((0.1, 0.0, 0.0))
@@ -181,21 +175,18 @@ def test_move_needs_no_shapes_and_may_move_those_within_the_object():
     assert (thing.pose, thing.shapes[0][1]) == (Pose((0.7, 0.0, 0.0)), Pose())
 
 
-@pytest.mark.parametrize(
-    ("message", "words"),
-    [
+def test_an_object_that_cannot_be_used_is_refused():
+    for asked, words in (
         ({"id": "ghost", "operation": MOVE}, "'ghost'"),
         ({"id": "ghost", "operation": REMOVE}, "'ghost'"),
         ({"id": "cup", "primitive_poses": [pose()] * 2, "operation": MOVE}, "poses of 2 shapes; 'cup' has 1"),
         ({**box("x"), "operation": 7}, "must be one of 0 (ADD), 1 (REMOVE), 2 (APPEND), 3 (MOVE), not 7"),
         (box("x", frame="nowhere"), "no frame 'nowhere'"),
         ({"id": "cup", "pose": pose(math.nan), "operation": MOVE}, "it.pose.position.x"),
-    ],
-)
-def test_an_object_that_cannot_be_used_is_refused(message, words):
-    failure = rejection(after_objects, message)
-    assert words in failure.message
-    assert (failure.code is MoveItErrorCode.INVALID_OBJECT_NAME) is (words == "'ghost'")
+    ):
+        failure = rejection(after_objects, asked)
+        assert words in failure.message
+        assert (failure.code is MoveItErrorCode.INVALID_OBJECT_NAME) is (words == "'ghost'")
 
 
 LINKS = FORWARD.transforms(BENT)

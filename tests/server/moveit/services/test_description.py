@@ -10,7 +10,6 @@ import pytest
 from planners.scene import Pose
 from robot.messages import ArmState, Mode
 from server import robot_files
-from server.actionlib import bridge_actions
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.topics import Graph
 from server.moveit.messages import matrix_of, pose_of
@@ -60,10 +59,12 @@ def files(tmp_path: Path) -> Path:
 
 
 def test_meshes_named_by_a_path_get_package_urls_and_others_keep_theirs() -> None:
-    served = with_package_urls(urdf("assets/base.stl", "./assets/arm.stl", "package://other/a.stl"), PACKAGE)
+    served = with_package_urls(
+        replace(ROBOT, urdf=urdf("assets/base.stl", "./assets/arm.stl", "package://other/a.stl"))
+    )
     names = [str(mesh.get("filename")).replace(PACKAGE, "own") for mesh in ET.fromstring(served).iter("mesh")]
     assert names == ["package://own/assets/base.stl", "package://own/assets/arm.stl", "package://other/a.stl"]
-    assert with_package_urls(ROBOT.urdf, PACKAGE) == ROBOT.urdf
+    assert with_package_urls(ROBOT) == ROBOT.urdf
 
 
 def files_in(directory: Path | None) -> RobotFiles:
@@ -102,9 +103,7 @@ def test_the_package_may_have_the_name_of_the_robot_or_of_its_folder_or_of_one_w
     assert files_in(files).find("package://assets/base.stl") == files / "assets" / "base.stl"
 
 
-@pytest.fixture
-def packaged(tmp_path: Path) -> RobotFiles:
-    """Files of an arm whose URDF is in one package and whose meshes are in another, beside it."""
+def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(tmp_path: Path) -> None:
     (tmp_path / "arm_meshes" / "meshes" / "visual").mkdir(parents=True)
     (tmp_path / "arm_meshes" / "secret.stl").write_text("key")
     for name in ("base.dae", "skin.png", "notes.txt"):
@@ -112,10 +111,7 @@ def packaged(tmp_path: Path) -> RobotFiles:
     folder = tmp_path / "arm_description" / "urdf"
     folder.mkdir(parents=True)
     meshes = "package://arm_meshes/meshes/visual/base.dae", "package://gone/a.stl"
-    return RobotFiles(replace(ROBOT, urdf=urdf(*meshes), mesh_directory=folder, package_directories=(tmp_path,)))
-
-
-def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(packaged: RobotFiles) -> None:
+    packaged = RobotFiles(replace(ROBOT, urdf=urdf(*meshes), mesh_directory=folder, package_directories=(tmp_path,)))
     visual = "package://arm_meshes/meshes/visual"
     for name in ("base.dae", "skin.png"):
         assert packaged.read(f"{visual}/{name}") == name.encode()
@@ -217,20 +213,6 @@ def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(wo
     assert topic in world.graph.topic_names.types()
     world.move(0.4)
     assert topic not in world.graph.topic_names.types()
-
-
-def test_a_client_of_ros1_hears_the_transforms_by_actionlib(world: World) -> None:
-    bridge_actions(world.graph, [description.ACTION], world.clock, world.clock.call_later)
-    goal_type = "tf2_web_republisher/TFSubscriptionActionGoal"
-    world.say("c", op="advertise", topic=f"{description.ACTION}/goal", type=goal_type)
-    world.say("c", op="subscribe", topic=f"{description.ACTION}/feedback")
-    world.say("c", op="publish", topic=f"{description.ACTION}/goal", msg={"goal_id": {"id": "g"}, "goal": REQUEST})
-    world.move(0.4)
-    (feedback,) = world.heard("c")
-    assert feedback["msg"]["status"]["goal_id"]["id"] == "g"
-    transform = feedback["msg"]["feedback"]["transforms"][0]
-    assert transform["child_frame_id"] == "gripper_link"
-    assert "secs" in transform["header"]["stamp"]
 
 
 def test_the_number_of_subscriptions_is_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

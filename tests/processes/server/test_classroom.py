@@ -13,14 +13,14 @@ import pytest
 
 from harness.server import ROOT
 from harness.waiting import TIMEOUT_S, wait_until
-from server.classroom import supervisor as supervisor_module
-from server.classroom.supervisor import Member
+from server import classroom as module
+from server.classroom import Member
 
 # Members that say when they wait for SIGTERM or ignore it, and one that writes to its log, and ends after a while.
 PROGRAM = """
 import logging, os, signal, sys, time
 from pathlib import Path
-from server.classroom.supervisor import Member, supervise
+from server.classroom import Member, supervise
 
 logging.basicConfig(level="INFO", format="%(message)s")
 
@@ -43,7 +43,7 @@ def end():
     print("begun", flush=True)
     time.sleep(0.1)
 
-import server.classroom.supervisor as module
+import server.classroom as module
 module.END_TIMEOUT_S = 1.0
 members = [Member("one", wait, Path({folder!r}, "one.log")), Member("two", {second}, Path({folder!r}, "two.log"))]
 supervise(members, lambda: None)
@@ -112,7 +112,7 @@ def test_a_member_without_a_start_is_retried(monkeypatch: pytest.MonkeyPatch, ca
         tries_s.append(now_s)
         raise OSError("no process is left")
 
-    monkeypatch.setattr(supervisor_module, "ForkedProcess", fail)
+    monkeypatch.setattr(module, "ForkedProcess", fail)
     while now_s < 60.0:
         member.reap(now_s)
         member.start_if_due(now_s)

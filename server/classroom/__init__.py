@@ -1,1 +1,0 @@
-"""Classroom: many simulated arms on one machine, a server for each student."""

@@ -274,8 +274,6 @@ class CollisionModel:
 
     def hull_only_pairs(self, q: Vector) -> set[frozenset[str]]:
         """Return the pairs of names that overlap in their hulls but not in their parts: to be checked ``refined``."""
-        if not self._parts.available:
-            return set()
         return {self._names[pair] for pair in self._touching(q) if self._apart(pair)}
 
     def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:

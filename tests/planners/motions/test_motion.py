@@ -187,6 +187,21 @@ def test_of_ever_shorter_motions_the_last_that_is_free_is_found_in_few_trials(mo
     assert tried == [11, 0, 11], "where the first touches, another is searched for"
 
 
+def test_a_path_that_touches_between_the_checks_of_its_search_is_not_shortened(monkeypatch, task_over_a_wall):
+    task, searched = task_over_a_wall(), []
+    through_the_wall = np.array([task.start, 0.5 * (task.start + task.goals[0]), task.goals[0]])
+    found_first = iter([through_the_wall])
+
+    def watched(curve, *others):
+        searched.append(curve)
+        return smooth(curve, *others)
+
+    monkeypatch.setattr(motion, "via_point", lambda *_: next(found_first, None))
+    monkeypatch.setattr(motion, "smooth", watched)
+    assert found(task).method != VIA_POINT
+    assert len(searched) == 1
+
+
 def test_the_work_asked_for_is_spent_and_by_the_best_motion_all_the_time(task_over_a_wall, collision, at_home):
     first = work(task_over_a_wall(optimization_time_s=0.0))
     for time_s in (0.1, 0.3):

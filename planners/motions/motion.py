@@ -289,7 +289,7 @@ class _Searching:
         return self._name, path
 
     def _holds(self, path: Vector, step_m: float) -> bool:
-        """Return true if a path is free at half the search's steps, where curves are checked more closely; else refine."""
+        """Return true if a path is free at half the search's steps, where curves have shorter ones; else refine."""
         half_m = 0.5 * SEARCH_STEPS_M[self._finer]
         free = half_m <= step_m or all(line_free_sparsely(self._space, *ends, half_m) for ends in pairwise(path))
         self._finer = min(self._finer + (not free), len(SEARCH_STEPS_M) - 1)

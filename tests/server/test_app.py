@@ -36,7 +36,7 @@ async def test_a_recording_has_what_the_server_latches_when_it_is_made(tmp_path:
     assert {"/arm/state", "/arm/joint_limits"} <= recorded
 
 
-async def test_settings_that_are_refused_leave_no_recording_behind(tmp_path: Path) -> None:
+async def test_settings_or_a_start_that_are_refused_leave_no_recording_behind(tmp_path: Path) -> None:
     for wrong in (
         {"zenoh": {"mode": "peer", "config_file": "/no/such/file"}},
         {"server": {"tls_certificate": "/no/such/file", "tls_key": "/no/such/file"}},
@@ -50,9 +50,6 @@ async def test_settings_that_are_refused_leave_no_recording_behind(tmp_path: Pat
         with pytest.raises(ConfigurationError):
             App(settings)
         assert not (tmp_path / "run.mcap").exists(), wrong
-
-
-async def test_a_start_that_is_refused_leaves_no_recording_behind(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         server = ServerSettings(host="127.0.0.1", port=port)

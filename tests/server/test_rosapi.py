@@ -103,14 +103,11 @@ def test_message_details_have_plain_field_names(world: AskedWorld) -> None:
     assert {"std_msgs/Header", "builtin_interfaces/Time"} == {other["type"] for other in others}
 
 
-def test_action_details_tell_every_part(world: AskedWorld) -> None:
+def test_the_type_of_an_action_and_every_part_of_it_are_told(world: AskedWorld) -> None:
     for part, field in {"goal": "command", "result": "reached_goal", "feedback": "stalled"}.items():
         for dialect in DIALECTS:
             details = world.ask(f"action_{part}_details", dialect, type="control_msgs/GripperCommand")
             assert field in details["typedefs"][0]["fieldnames"], (part, dialect)
-
-
-def test_the_type_of_an_action_is_told_and_empty_when_unknown(world: AskedWorld) -> None:
     world.graph.actions.offer(ARM, "/grip", "control_msgs/GripperCommand", lambda _goal: None)
     assert world.ask("action_type", action="grip")["type"] == "control_msgs/action/GripperCommand"
     assert world.ask("action_type", "ros1", action="/grip")["type"] == "control_msgs/GripperCommand"

@@ -10,8 +10,10 @@ import pytest
 from robot.control.cycle import ControlCycle
 from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.supervisor import arm_health, arm_state
+from robot.description.limits import within_calibration
+from robot.emulator.populations import POPULATIONS
 from robot.errors import PortError
-from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
+from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig
 from robot.hardware.feetech.registers import Register
 from robot.messages import (
     END_LIMIT_S,
@@ -33,6 +35,7 @@ from robot.messages import (
 from tests.helpers.arm_rig import CALIBRATION, METAL, NAMES, ArmRig, unread_hardware
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import recalibrated, so101
 
 Start = Callable[..., ArmRig]
 PAN = smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=1.5)
@@ -545,3 +548,13 @@ def test_an_order_to_hold_that_was_requested_before_the_last_stop_is_refused(sta
     rig.supervisor.handle(Command(103, Order.RESET_FAULT, epoch=8))
     assert not rig.answer(103).done
     assert rig.mode is Mode.FAULT
+
+
+def test_servos_that_another_driver_has_shifted_are_driven_by_a_calibration_that_knows_their_offsets() -> None:
+    servos = SteppedEmulator("--population", "ros2_driver", wire_time=False)
+    calibration = recalibrated(CALIBRATION, POPULATIONS["ros2_driver"])
+    robot = within_calibration(so101(), calibration)
+    rig = ArmRig(servos, robot=robot, hardware=SerialConfig(calibration, "/dev/arm")).started()
+    rig.execute(PAN)
+    rig.until(lambda: bool(rig.ended))
+    assert rig.outcomes == [Outcome.REACHED]

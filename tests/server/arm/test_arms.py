@@ -151,7 +151,7 @@ def health(limits_rad: list[tuple[float, float]]) -> ArmHealth:
     return ArmHealth(0.0, Mode.HOLDING, "", servos, BusCounters(), times, times, True, limits_rad=np.array(limits_rad))
 
 
-def test_a_state_has_the_calibrated_ranges_and_is_published_when_it_says_something_new(heard: Heard) -> None:
+def test_a_state_is_published_when_it_says_something_new_and_a_fault_with_its_remedy(heard: Heard) -> None:
     for stamp_s in range(3):
         heard.topics.take_state(ArmState(stamp_s, Mode.HOLDING, ("a",), position_rad=np.array([stamp_s])))
     for last_stop in (3, 3, 4):
@@ -161,9 +161,6 @@ def test_a_state_has_the_calibrated_ranges_and_is_published_when_it_says_somethi
     gripper = nominal_calibration().joints[-1]
     ends = values_of(heard.states[0])["calibrated_range_rad.gripper"].split()
     assert [float(end) for end in ends] == pytest.approx([gripper.lower_rad, gripper.upper_rad], abs=1e-5)
-
-
-def test_a_fault_is_told_with_code_sentence_remedy_and_service(heard: Heard) -> None:
     heard.topics.take_state(ArmState(0.0, Mode.FAULT, ("a",), fault=STALLED))
     state = heard.states[-1]
     assert state["level"] == 2

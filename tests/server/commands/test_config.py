@@ -264,10 +264,14 @@ def test_certificate_and_token_are_made_once_and_kept_for_their_owner_who_is_tol
     assert [file.read_bytes() for file in files] == kept
 
 
-def test_a_wrong_name_is_one_sentence(folder, capsys):
+def test_a_wrong_name_and_a_token_that_cannot_be_kept_are_one_sentence(folder, capsys):
     assert cli.main(["certificate", "--name", "a b"]) == ExitCode.FAILED
     assert capsys.readouterr().err == "armbridge: --name: 'a b' is neither a host name nor an IP address\n"
     assert not folder.exists()
+    folder.mkdir(parents=True)
+    (folder / "none").touch()
+    with pytest.raises(ConfigurationError, match=r"tokens\.toml: the token cannot be kept there"):
+        ensure_token(folder / "none")
 
 
 def test_of_two_commands_at_a_time_one_makes_the_token(folder, monkeypatch):
@@ -279,13 +283,6 @@ def test_of_two_commands_at_a_time_one_makes_the_token(folder, monkeypatch):
     folder.mkdir(parents=True)
     monkeypatch.setattr(certificate, "replace", replace_locked)
     assert [bool(ensure_token(folder)[1]) for _ in range(2)] == [True, False]
-
-
-def test_a_token_that_cannot_be_kept_is_one_sentence(folder):
-    folder.mkdir(parents=True)
-    (folder / "none").touch()
-    with pytest.raises(ConfigurationError, match=r"tokens\.toml: the token cannot be kept there"):
-        ensure_token(folder / "none")
 
 
 def test_the_page_about_phones_shows_the_command_that_is_printed(folder, capsys):

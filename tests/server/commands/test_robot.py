@@ -20,7 +20,7 @@ from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 from tests.server.recordings import record, text
 
 
-def test_plan_answers_a_file_with_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_answers_by_a_table_and_bad_input_by_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem = {"id": "a", "start": [0.0] * 5, "goal": [0.1] * 5}
     joints = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
     fields = {"format": "so101-plan-bench/1", "name": "n", "joint_names": joints, "joint_problems": [problem]}
@@ -28,9 +28,6 @@ def test_plan_answers_a_file_with_a_table(tmp_path: Path, capsys: pytest.Capture
     path.write_text(json.dumps(fields))
     assert cli.main(["plan", str(path), "--seed", "3"]) == 0
     assert "SUCCESS" in capsys.readouterr().out
-
-
-def test_bad_input_of_plan_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     for options, words in (
         (["--urdf", "a.urdf"], "--urdf and --srdf must be given together"),
         (["--urdf", "/nowhere.urdf", "--srdf", "/nowhere.srdf"], "cannot be read"),
@@ -221,7 +218,7 @@ def test_an_input_that_ends_answers_nothing():
         Terminal(empty.fileno()).await_enter("Hold the arm")
 
 
-def test_a_live_table_replaces_the_last_one_and_is_for_terminals_only(capsys, monkeypatch):
+def test_a_live_table_replaces_the_last_one_and_columns_are_as_wide_as_their_widest_entry(capsys, monkeypatch):
     terminal = Terminal()
     terminal.show_live("1\n2")
     assert capsys.readouterr().err == ""
@@ -229,9 +226,6 @@ def test_a_live_table_replaces_the_last_one_and_is_for_terminals_only(capsys, mo
     terminal.show_live("1\n2")
     terminal.show_live("3\n4")
     assert capsys.readouterr().err == "1\n2\n\x1b[2A\x1b[J3\n4\n"
-
-
-def test_columns_are_as_wide_as_their_widest_entry():
     assert table(("id", "joint"), [(1, "pan"), (100, "x")]) == "id   joint\n1    pan\n100  x"
 
 

@@ -254,13 +254,10 @@ def test_an_episode_with_something_missing_is_left_out_with_the_place(changes: d
     assert str(left_out.value) == sentence
 
 
-def test_an_episode_of_one_frame_is_left_out_and_one_beside_a_gap_is_not() -> None:
+def test_an_episode_begins_where_everything_has_begun_and_of_one_frame_is_left_out() -> None:
     with pytest.raises(LeftOutError, match="it has 1 frames at 10 a second, and needs 2"):
         frames_of(Episode(1.0, 1.15, ""), TRACKS, 10)
     assert frames_of(Episode(2.0, 3.0, ""), replace(TRACKS, **LEFT_OUT[0][0]), 10).count == 10
-
-
-def test_an_episode_begins_where_everything_has_begun_also_after_a_silence_before_it() -> None:
     frames = frames_of(EPISODE, replace(TRACKS, image_times_s={"c": np.arange(1.3, 2.0, 0.1)}), 10)
     assert frames.start_s == pytest.approx(1.3)
     spoken_s = TIMES_S[(TIMES_S < 0.2) | (TIMES_S > 1.11)]

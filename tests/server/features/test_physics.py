@@ -388,12 +388,9 @@ async def test_an_object_moves_in_the_world_of_the_arm_that_it_is_attached_to_fr
     assert two.seen()[0] == (0.0, -0.1, 0.08)
 
 
-async def test_a_client_names_the_arm_that_moves_an_object(two: Stage) -> None:
+async def test_a_client_names_the_arm_that_moves_an_object_and_time_stands_still_for_both(two: Stage) -> None:
     assert two.call("/right/simulation/set_body", id="cube", movable=True) == (True, "cube can be moved")
     assert two.movers() == {"left": False, "right": True}
-
-
-async def test_time_stands_still_for_both_arms(two: Stage) -> None:
     assert (await two.answer("/simulation/pause", 0, data=True))[0]
     assert all(arm.pauses == [PauseSimulation(paused=True)] for arm in two.arms.values())
 
@@ -421,7 +418,7 @@ def test_a_saved_scene_is_a_world_of_fixed_objects(tmp_path: Path) -> None:
     assert ([each["id"] for each in scene["world"]["collision_objects"]], list(bodies)) == (["cube"], [])
 
 
-def test_what_is_wrong_with_a_file_has_a_sentence(tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_file_or_a_file_that_is_none_has_a_sentence(tmp_path: Path) -> None:
     for content, sentence in (
         ({"bodies": 3}, "wanted armbridge_msgs/srv/SetBody_Request, got 3"),
         ({"bodies": [{"id": "cube", "weight": 1.0}]}, "field weight: wanted a field of .*SetBody_Request"),
@@ -436,9 +433,6 @@ def test_what_is_wrong_with_a_file_has_a_sentence(tmp_path: Path) -> None:
         path.write_text(json.dumps(whole))
         with pytest.raises((ValueError, MessageError), match=sentence):
             read_world(str(path), MESSAGE_TYPES)
-
-
-def test_a_file_that_is_not_there_or_no_json_has_a_sentence(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="there is no such file; the built-in worlds are cubes, peg, table"):
         read_world("cube", MESSAGE_TYPES)
     path = tmp_path / "broken.json"
@@ -453,15 +447,12 @@ def shape_of(**fields: Any) -> BodyShape:
     return shape
 
 
-def test_round_shapes() -> None:
+def test_round_shapes_have_their_size_and_a_plane_its_normal_along_z() -> None:
     for kind, expected in ((2, ("sphere", (0.06,))), (3, ("cylinder", (0.02, 0.03))), (4, ("hull", ()))):
         shape = shape_of(primitives=[{"type": kind, "dimensions": [0.06, 0.02]}], primitive_poses=[pose()])
         assert (shape.kind, shape.size_m) == expected
         if kind == 4:
             assert np.ptp(np.array(shape.vertices_m), axis=0) == pytest.approx([0.04, 0.04, 0.06]), kind
-
-
-def test_a_plane_has_its_normal_along_z() -> None:
     for normal, place in (((0.0, 0.0, 1.0), (0.0, 0.0, -0.05)), ((0.0, 0.0, -1.0), (0.0, 0.0, 0.05))):
         shape = shape_of(planes=[{"coef": [*normal, 0.05]}], plane_poses=[pose()])
         assert shape.position_m == pytest.approx(place)

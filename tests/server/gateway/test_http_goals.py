@@ -174,7 +174,11 @@ async def test_the_deadline_is_within_its_limits_and_a_goal_that_outlasts_it_is_
     assert (call.ended, call.caller_left, call.caller.takes_goals_along) == (True, True, True)
 
 
-async def test_who_may_not_gets_the_reason_and_the_status(door: Door) -> None:
+async def test_who_may_not_and_a_page_of_another_site_get_the_reason_and_move_nothing(door: Door) -> None:
+    for origin in ("https://evil.example", "null"):
+        got, answer = await door.post(READY, f"Origin: {origin}")
+        assert (got, "may not connect" in answer) == (403, True)
+    assert not door.arm.calls
     got, answer = await door.post(READY, token=VIEWER)
     assert (got, "needs the role propose, this client has view" in answer["message"]) == (403, True)
     assert (await door.post(READY, token=""))[0] == 401
@@ -182,13 +186,6 @@ async def test_who_may_not_gets_the_reason_and_the_status(door: Door) -> None:
     door.access.lease.drive(Node("alice", remote=True, identity=ANYONE), door.access.clock())
     got, answer = await door.post(READY)
     assert (got, "alice has controlled the arm" in answer["message"]) == (409, True)
-    assert not door.arm.calls
-
-
-async def test_a_page_of_another_site_cannot_move_the_arm(door: Door) -> None:
-    for origin in ("https://evil.example", "null"):
-        got, answer = await door.post(READY, f"Origin: {origin}")
-        assert (got, "may not connect" in answer) == (403, True)
     assert not door.arm.calls
 
 

@@ -477,15 +477,12 @@ async def test_the_end_of_the_server_waits_for_no_client_that_is_silent(monkeypa
         await asyncio.wait_for(listener.close(), TIMEOUT_S)
 
 
-async def test_an_answer_names_no_program_and_agrees_to_no_compression() -> None:
+async def test_an_answer_names_no_program_nor_compression_and_is_in_full_whatever_follows_its_request() -> None:
     async with listening() as listener:
         upgraded = await exchange(listener.port, request(*UPGRADE, "Sec-WebSocket-Extensions: permessage-deflate"))
         assert status(upgraded) == 101
         assert "Extensions" not in upgraded
         assert "Server:" not in upgraded + await exchange(listener.port, request())
-
-
-async def test_a_request_over_http_is_answered_in_full_whatever_follows_it() -> None:
     async with listening() as listener:
         for behind in (b"GET / HTTP/1.1\r\n\r\n", frame(b"{}")):
             answer = await exchange(listener.port, request(path="/nothing") + behind)

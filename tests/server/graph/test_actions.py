@@ -79,14 +79,11 @@ def test_only_the_first_end_counts_and_nothing_is_heard_or_cancelled_afterwards(
     assert world.feedback == []
 
 
-def test_the_cancel_service_cancels_one_goal_by_its_id(world: World) -> None:
+def test_the_cancel_service_cancels_one_goal_and_a_late_listener_is_told_at_once(world: World) -> None:
     goals = [world.send() for _ in range(2)]
     answer = answered(world.graph, "/grip/_action/cancel_goal", SENDER, goal_info=goals[1].info)
     assert [goal.cancel_requested for goal in goals] == [False, True]
     assert len(answer.values["goals_canceling"]) == 1
-
-
-def test_a_late_listener_is_told_of_a_cancel_at_once(world: World) -> None:
     told: list[str] = []
     goal = world.send()
     goal.cancel()

@@ -89,7 +89,7 @@ def graph() -> Graph:
     return made
 
 
-async def test_a_request_with_too_long_a_list_is_refused_before_it_is_completed(graph: Graph) -> None:
+async def test_a_request_or_a_goal_with_too_long_a_list_is_refused_before_it_is_completed(graph: Graph) -> None:
     graph.services.offer(SERVER, "/plan", SEQUENCE, lambda _request: {}, limits=ListLimits({ITEMS: 2}))
     response = answered(graph, "/plan", CLIENT, request={"items": [{}] * 3})
     assert not response.ok
@@ -98,9 +98,6 @@ async def test_a_request_with_too_long_a_list_is_refused_before_it_is_completed(
     graph.services.offer(SERVER, "/other", SEQUENCE, lambda _request: {})
     assert not answered(graph, "/other", CLIENT, request={"items": [{}] * 5000}).ok
     assert graph.message_types.completed == 0
-
-
-async def test_a_goal_with_too_long_a_list_is_refused_before_it_is_completed(graph: Graph) -> None:
     type_name = "moveit_msgs/action/MoveGroupSequence"
     graph.actions.offer(SERVER, "/move", type_name, lambda _goal: None, ListLimits({ITEMS: 2}))
     results: list[Result] = []

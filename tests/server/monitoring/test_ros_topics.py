@@ -57,7 +57,7 @@ def statuses(
     return told
 
 
-def test_a_sound_arm_is_ok_with_the_figures_of_bus_loop_and_servos() -> None:
+def test_a_sound_arm_is_ok_with_the_figures_of_bus_loop_and_servos_and_an_ideal_one_with_fewer() -> None:
     arm, servo = statuses(health=replace(HEALTH, memory_locked=True))
     assert (arm["level"], servo["level"], servo["hardware_id"]) == (0, 0, "servo 3")
     told = {"loop_lateness_ms": "p50 0.100, p99 0.200, max 0.300", "bus_sent": "7", "bus_timeouts": "1"}
@@ -65,9 +65,6 @@ def test_a_sound_arm_is_ok_with_the_figures_of_bus_loop_and_servos() -> None:
     assert values_of(arm) | told == values_of(arm)
     assert values_of(statuses()[0])["memory_locked"] == "false"
     assert (values_of(servo)["temperature_c"], values_of(servo)["torque"]) == ("31", "on")
-
-
-def test_an_ideal_joint_has_neither_temperature_nor_bus() -> None:
     ideal = replace(SERVO, hardware_id="ideal joint", temperature_c=NAN, voltage_v=NAN, current_a=NAN, load=0.0)
     arm, joint = statuses(health=replace(HEALTH, port="ideal", joints=(ideal,), bus=None))
     assert (arm["level"], joint["level"], joint["hardware_id"]) == (0, 0, "ideal joint")

@@ -227,7 +227,10 @@ async def test_a_check_tells_how_long_a_replay_would_take_at_a_speed_or_what_it_
     assert "crate" in said
 
 
-async def test_one_motion_is_recorded_at_a_time_whoever_asks(lesson: Lesson) -> None:
+async def test_a_recording_without_a_place_or_beside_another_does_not_begin(lesson: Lesson) -> None:
+    for place, says in ({"name": "../x"}, "name: must be"), ({"name": "a", "group": "leg"}, "gripper, not 'leg'"):
+        assert says in await lesson.refused("begin", **place)
+    assert not any(state["recording"] for state in lesson.states)
     both = await asyncio.gather(*(lesson.call("/teach/begin", name=name) for name in ("a", "b")))
     assert sorted(answer["success"] for answer in both) == [False, True]
     assert "is being recorded" in next(answer["message"] for answer in both if not answer["success"])
@@ -293,12 +296,6 @@ async def test_a_motion_comes_back_edited_from_a_client_and_motions_are_renamed_
     assert "no motion is saved" in await lesson.refused("delete", name="greet")
     trajectory["joint_names"][0] = "knee"
     assert "knee" in await lesson.refused("save", name="mine", trajectory=trajectory)
-
-
-async def test_a_recording_without_a_place_does_not_begin(lesson: Lesson) -> None:
-    for place, says in ({"name": "../x"}, "name: must be"), ({"name": "a", "group": "leg"}, "gripper, not 'leg'"):
-        assert says in await lesson.refused("begin", **place)
-    assert not any(state["recording"] for state in lesson.states)
 
 
 def test_replays_drive_the_arm_and_changes_of_motions_configure() -> None:

@@ -45,11 +45,14 @@ def pose_at(buffer: JitterBuffer, now_s: float) -> LeaderPose:
     return pose
 
 
-def test_an_arm_of_this_server_is_followed_without_a_delay() -> None:
+def test_an_arm_of_this_server_is_followed_without_a_delay_and_an_empty_buffer_not_at_all() -> None:
     buffer = JitterBuffer({}, max_delay_s=0.0)
     for number, late_s in enumerate((0.0, 0.03, 0.0, 0.05)):
         buffer.add(LeaderSample(number * 0.1, {"pan": float(number)}), number * 0.1 + late_s)
     assert (buffer.delay_s, pose_at(buffer, 0.35).positions_rad) == (0.0, {"pan": 3.0})
+    buffer = JitterBuffer({})
+    assert buffer.pose(1.0) is None
+    assert buffer.age_s(1.0) == math.inf
 
 
 def test_a_velocity_is_not_that_of_the_single_ticks_of_an_encoder() -> None:
@@ -63,12 +66,6 @@ def test_a_velocity_is_not_that_of_the_single_ticks_of_an_encoder() -> None:
     assert velocities[10:] == pytest.approx([0.1] * 90, abs=0.035)
 
 
-def test_an_empty_buffer_has_no_pose_and_no_end_of_age() -> None:
-    buffer = JitterBuffer({})
-    assert buffer.pose(1.0) is None
-    assert buffer.age_s(1.0) == math.inf
-
-
 def test_samples_that_come_in_bursts_are_followed_evenly() -> None:
     buffer = JitterBuffer({"a": 2.0})
     seen = []
@@ -80,12 +77,9 @@ def test_samples_that_come_in_bursts_are_followed_evenly() -> None:
     assert np.diff(seen) == pytest.approx(0.01, abs=1e-6)
 
 
-def test_a_sample_that_is_overtaken_is_dropped() -> None:
+def test_a_sample_that_is_overtaken_is_dropped_and_a_jump_told_once() -> None:
     buffer = buffer_of((0.0, 0.0, 0.0), (0.02, 0.02, 0.2), (0.01, 0.03, 0.1))
     assert pose_at(buffer, 1.0).positions_rad["a"] == 0.2
-
-
-def test_a_jump_is_told_once_and_fast_hands_are_none() -> None:
     buffer = buffer_of((0.0, 0.0, 0.0), (0.01, 0.01, 1.0), (0.02, 0.02, 1.0))
     assert "a of the leader jumped by 1.00 rad within 0.010 s" in buffer.take_jump()
     assert buffer.take_jump() == ""

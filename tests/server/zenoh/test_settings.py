@@ -53,7 +53,7 @@ def value(settings: ZenohSettings, path: str) -> Any:
     return json.loads(session_config(settings).get_json(path))
 
 
-def test_the_settings_become_the_configuration_of_zenoh() -> None:
+def test_the_settings_and_a_file_of_zenoh_become_its_configuration(tmp_path: Path) -> None:
     told: dict[str, Any] = {"connect": ("tcp/127.0.0.1:7447",), "listen": ("tcp/127.0.0.1:7448",)}
     settings = ZenohSettings(mode="router", scouting_multicast=True, **told)
     assert value(settings, "mode") == "router"
@@ -63,9 +63,6 @@ def test_the_settings_become_the_configuration_of_zenoh() -> None:
     # Nothing of it happens unless it is set.
     assert value(ZenohSettings(mode="peer"), "listen/endpoints") == []
     assert value(ZenohSettings(mode="peer"), "scouting/multicast/enabled") is False
-
-
-def test_a_file_of_zenoh_says_what_no_setting_says(tmp_path: Path) -> None:
     text = '{ /* ours */ connect: { endpoints: ["tls/router:7447"] }, queries_default_timeout: 1234, }'
     settings = with_file(tmp_path, text)
     assert value(settings, "connect/endpoints") == ["tls/router:7447"]

@@ -186,7 +186,7 @@ async def test_the_goal_of_a_client_that_leaves_ends_as_the_setting_says(desk: D
     assert bool(desk.queue.busy()) is not takes_along
 
 
-async def test_an_action_that_only_plans_can_be_cancelled(desk: Desk) -> None:
+async def test_an_action_that_only_plans_can_be_cancelled_and_is_aborted_if_it_fails(desk: Desk) -> None:
     goal = desk.graph.actions.send_goal(
         desk.client, NAME, "armbridge_msgs/MoveitGoal", {"named": "ready", "plan_only": True}, desk.results.append
     )
@@ -194,10 +194,7 @@ async def test_an_action_that_only_plans_can_be_cancelled(desk: Desk) -> None:
     goal.cancel()
     await settle()
     assert desk.results[0].status == GoalStatus.CANCELED
-
-
-async def test_a_goal_that_fails_aborts_the_action(desk: Desk) -> None:
     await desk.send(NAME, joints=ELBOW)
     desk.finish(Answer(MoveItErrorCode.CONTROL_FAILED, "stalled"))
     await settle()
-    assert (desk.results[0].status, desk.results[0].values["code"]) == (GoalStatus.ABORTED, -4)
+    assert (desk.results[1].status, desk.results[1].values["code"]) == (GoalStatus.ABORTED, -4)

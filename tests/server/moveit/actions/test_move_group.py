@@ -61,14 +61,11 @@ async def test_a_goal_under_both_names_gets_each_state_and_result_once(desk: Act
     assert codes(desk) == [1]
 
 
-async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(desk: ActionDesk) -> None:
+async def test_a_goal_that_is_cancelled_or_over_takes_its_motion_along_and_says_who_ended_it(desk: ActionDesk) -> None:
     (await desk.send("/move_group", request=to(0.3))).cancel()
     await settle()
     assert desk.results[0].status == GoalStatus.CANCELED
     assert desk.results[0].values["error_code"]["message"] == "cancelled by a client of /move_group"
-
-
-async def test_a_goal_that_is_over_takes_its_motion_along_and_leaves_others_alone(desk: ActionDesk) -> None:
     first = desk.queue.submit(GoalRequest("/moveit_goal_pose", PlannedMotion((), frozenset({"gripper"}))))
     goal = await desk.send("/move_group", request=to(0.3))
     goal.fail("Action /move_group took more than 3600 s")
@@ -187,7 +184,7 @@ def asked(request: dict[str, Any], **options: Any) -> move_group.PlanningGoal:
     )
 
 
-def test_a_motion_is_planned_from_the_start_of_its_turn_in_the_scene_with_the_diff(rig: ServiceRig) -> None:
+async def test_a_motion_starts_where_its_turn_comes_and_a_plan_alone_where_the_request_says(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [1.0]}}
     changes = {"world": {"collision_objects": [box("box", at=pose(2.0))]}}
     asked_for = asked({**to(0.3), "start_state": start}, planning_scene_diff=changes)
@@ -197,9 +194,6 @@ def test_a_motion_is_planned_from_the_start_of_its_turn_in_the_scene_with_the_di
     assert any("start_state is ignored" in warning for warning in motion.warnings)
     assert [one.name for one in motion.scene(HOME).objects] == ["box"]
     assert rig.scene_state.scene.objects == ()
-
-
-async def test_a_plan_alone_starts_where_the_request_says(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [0.5]}, "is_diff": True}
     answer: Any = await move_group.plan_only(asked({**to(0.3), "start_state": start}), rig.client, rig.context)
     assert answer.code is MoveItErrorCode.SUCCESS

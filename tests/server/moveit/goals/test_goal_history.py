@@ -66,7 +66,9 @@ def take(records: Records, goal_id: str, *steps: float, ends: Answer | None = No
     records.history.on_answer(goal(goal_id, *steps, **options), ends or answer(MOTION))
 
 
-async def test_the_history_tells_the_last_100_goals_oldest_first_with_their_times(records: Records) -> None:
+async def test_the_history_tells_the_last_100_goals_but_those_of_their_client_alone(records: Records) -> None:
+    take(records, "1", 0.4, only_for=Node("client"))
+    assert (await records.call(HISTORY))["goals"] == []
     for number in range(103):
         take(records, str(number), 0.4)
     told = await records.call(HISTORY)
@@ -74,11 +76,6 @@ async def test_the_history_tells_the_last_100_goals_oldest_first_with_their_time
     assert told["stamps"] == [1000.0 + number for number in range(3, 103)]
     assert not (await records.record("2"))["success"]
     assert (await records.record("3"))["success"]
-
-
-async def test_a_goal_that_is_answered_to_its_client_alone_has_no_record(records: Records) -> None:
-    take(records, "1", 0.4, only_for=Node("client"))
-    assert (await records.call(HISTORY))["goals"] == []
 
 
 async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None:

@@ -70,7 +70,7 @@ def test_a_joint_goal_beyond_limits_is_brought_within_them_in_every_joint() -> N
     assert found.msg == {"name": ["shoulder_pan", "elbow_flex"], "position": [ROBOT.joints["shoulder_pan"].upper, 0.2]}
 
 
-def test_a_point_is_suggested_in_the_planning_frame_and_not_repeated_where_the_sentence_names_it() -> None:
+def test_a_point_is_suggested_in_the_planning_frame_with_the_orientation_of_the_goal() -> None:
     for key in ("nearest_m", "free_m"):
         found: Any = suggestion({}, {key: [0.1, 0.2, 0.3]}, ROBOT)
         assert found.topic == "/moveit_goal_pose"
@@ -81,6 +81,9 @@ def test_a_point_is_suggested_in_the_planning_frame_and_not_repeated_where_the_s
         told: Any = suggestion({}, {"free_m": free_m, "nearest_m": [0.1, 0.2, 0.3], "distance_m": 0.5}, ROBOT)
         assert told.msg["pose"]["position"]["z"] == free_m[2]
         assert (told.words != "that point") is repeated
+    told = suggestion(pose_stamped("base", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED)
+    assert told.msg["pose"]["orientation"] == TURNED
+    assert suggestion(pose_stamped("tool", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED) is None
 
 
 LIFTED = model.parse(LIFTED_URDF, LIFTED_SRDF)
@@ -102,7 +105,7 @@ def test_seven_joints_are_brought_to_the_whole_pose_and_need_an_orientation(lift
         assert_refused(failure, INVALID, "pose.orientation must be a unit quaternion", "group arm has 7 joints")
 
 
-def test_the_joints_of_a_goal_name_its_group(lifted: GoalTranslator) -> None:
+def test_a_goal_is_of_the_group_that_its_joints_name_or_of_the_selected_one(lifted: GoalTranslator) -> None:
     for names, group in (
         (["a1", "a7"], "arm"),
         (["lift", "a1"], "arm_with_torso"),
@@ -112,18 +115,9 @@ def test_the_joints_of_a_goal_name_its_group(lifted: GoalTranslator) -> None:
     ):
         motion = lifted.joints(message("sensor_msgs/JointState", name=names, position=[0.01] * len(names)))
         assert motion.steps[0].problem(LIFTED_HOME).group == group, names
-
-
-def test_a_named_target_and_a_pose_are_of_the_selected_group(lifted: GoalTranslator) -> None:
     for group, named in (("arm", "bent"), ("arm_with_torso", "raised")):
         lifted.select_group(group)
         for motion in (lifted.named({"data": named}), lifted.pose(pose_stamped("base", TURNED, x=0.4, z=0.9))):
             assert motion.steps[0].problem(LIFTED_HOME).group == group
     lifted.select_group("arm")
     assert_refused(rejection(lifted.named, {"data": "raised"}), INVALID, "there is no named target 'raised'")
-
-
-def test_a_suggested_point_keeps_the_orientation_of_the_goal() -> None:
-    told: Any = suggestion(pose_stamped("base", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED)
-    assert told.msg["pose"]["orientation"] == TURNED
-    assert suggestion(pose_stamped("tool", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED) is None

@@ -87,14 +87,11 @@ def test_a_goal_that_cannot_be_is_refused_by_its_place(messages, code, words) ->
     assert_refused(goal(*messages), code, *words)
 
 
-def test_path_constraints_are_read_in_full() -> None:
+def test_path_constraints_are_read_in_full_and_refused_if_they_cannot_be() -> None:
     elbow, orientation = joint("elbow_flex", 0.0, 0.5, 0.5), turned((0.1, 0.2, 7.0))
     held = on_the_way(joint_constraints=[elbow], position_constraints=[BALL], orientation_constraints=[orientation])
     assert (held.joints[0].joint, held.positions[0].radius_m) == ("elbow_flex", 0.005)
     assert held.orientations[0].tolerance_rad[:2] == (0.1, 0.2)
-
-
-def test_a_way_that_cannot_be_is_refused() -> None:
     for fields, words in (
         ({"position_constraints": [region((SPHERE, [0.01]), (SPHERE, [0.02]), poses=[AT] * 2)]}, "2 regions"),
         ({"visibility_constraints": [{}]}, "path_constraints.visibility_constraints"),

@@ -43,16 +43,13 @@ def test_a_state_that_is_none_is_refused_by_name() -> None:
 HELD = held("mug", **box("mug", frame="gripper_link"))
 
 
-def test_a_request_s_state_overrides_that_which_its_client_alone_assumes(rig: ServiceRig) -> None:
+def test_a_request_starts_at_its_own_state_its_clients_or_that_of_an_arm_that_is_read(rig: ServiceRig) -> None:
     rig.context.assumed.assume(rig.client, {"elbow_flex": 0.7})
     assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.7}
     assert rig.context.start(state(), Node("other")).start_rad == HOME
     rig.context.assumed.assume(rig.client, {"elbow_flex": 0.7, "wrist_roll": 0.1})
     start = rig.context.start(state({"elbow_flex": 0.2}), rig.client).start_rad
     assert start == HOME | {"elbow_flex": 0.2, "wrist_roll": 0.1}
-
-
-def test_an_arm_that_is_not_read_is_no_start(rig: ServiceRig) -> None:
     rig.arm.lose_positions()
     assert_refused(rejection(rig.context.start, state(), rig.client), MoveItErrorCode.ROBOT_STATE_STALE)
 

@@ -107,12 +107,16 @@ async def test_the_answer_is_a_complete_message():
     assert client.call(interface.CLEAR_OCTOMAP) == {}
 
 
-def test_a_refusal_tells_its_reason_beside_the_response_and_in_the_log(caplog):
+def test_a_refusal_tells_its_reason_in_response_and_log_and_is_of_all_that_comes_with_it(caplog):
     scene = {"is_diff": True, "world": {"collision_objects": [{"id": "ghost", "operation": 1}]}}
     response = answered(Client().graph, interface.APPLY, scene=scene)
     assert response.values == {"success": False}
     assert response.reason.startswith("refused, nothing is changed: world.collision_objects[0]: there is no object")
     assert "no object 'ghost'" in caplog.text
+    client = Client()
+    bad = {"is_diff": True, "joint_state": {"name": ["knee"], "position": [0.0]}}
+    assert not client.apply(robot_state=bad, world={"collision_objects": [box("cup")]})
+    assert client.state.contents.objects == {}
 
 
 MANY = [box(str(number), at=pose(2.0)) for number in range(100)]
@@ -177,13 +181,6 @@ async def test_moving_frames_are_where_the_client_assumes_the_arm():
     assert client.apply(robot_state=state_of(0.5), world={"collision_objects": [lid]})
     expected = FORWARD.transforms(dict.fromkeys(JOINTS, 0.5))["gripper_link"]
     np.testing.assert_allclose(matrix_of(client.state.contents.objects["lid"].pose), expected, atol=1e-12)
-
-
-def test_a_state_that_is_none_is_refused_with_all_that_comes_with_it():
-    client = Client()
-    bad = {"is_diff": True, "joint_state": {"name": ["knee"], "position": [0.0]}}
-    assert not client.apply(robot_state=bad, world={"collision_objects": [box("cup")]})
-    assert client.state.contents.objects == {}
 
 
 # Not the default.

@@ -83,12 +83,9 @@ def test_a_state_that_is_no_diff_detaches_unlisted_objects_unless_it_is_empty():
         assert list(changed(TAKE_CUP, scene).attached) == still_held
 
 
-def test_a_matrix_replaces_the_one_before_and_an_empty_one_is_ignored():
+def test_a_matrix_is_kept_unless_it_is_empty_and_padding_and_scale_unless_they_are_the_default():
     changing = changed(diff(allowed_collision_matrix=ACM), diff())
     assert changing.allowed_collisions.names == ("a", "b")
-
-
-def test_padding_and_scale_are_kept_unless_they_are_the_default():
     padding = [{"link_name": link, "padding": value} for link, value in (("wrist_link", 0.01), ("base_link", 0.0))]
     scale = [{"link_name": link, "scale": value} for link, value in (("wrist_link", 1.1), ("base_link", 1.0))]
     changing = changed(diff(link_padding=padding, link_scale=scale))
@@ -207,19 +204,32 @@ def new(name, *, at, frame, **fields):
     return held(name, **{**box(name, at=at, frame=frame), **fields})
 
 
-def test_attach_takes_the_object_from_the_world_or_from_another_frame():
+def test_attach_takes_objects_from_where_they_are_and_detach_leaves_them_where_they_are_now():
     changing = after_attached(held("cup"))
     assert changing.objects == {}
     np.testing.assert_allclose(place_in_root(changing.attached["cup"])[:3, 3], (0.3, 0.0, 0.0), atol=1e-12)
     thing = after_attached(new("tool", at=pose(0.1), frame="cup")).attached["tool"]
     np.testing.assert_allclose(place_in_root(thing)[:3, 3], (0.4, 0.0, 0.0), atol=1e-12)
+    changing = after_attached(held("cup"), held("cup", "", operation=REMOVE))
+    assert changing.attached == {}
+    np.testing.assert_allclose(matrix_of(changing.objects["cup"].pose), matrix_of(Pose((0.3, 0.0, 0.0))), atol=1e-12)
+    taken, all_of_the_wrist = (held("cup"), held("pen", "wrist_link")), held("", "wrist_link", operation=REMOVE)
+    changing = after_attached(*taken, all_of_the_wrist, before=(CUP, collision_object(**box("pen"))))
+    assert (list(changing.attached), list(changing.objects)) == (["cup"], ["pen"])
 
 
-def test_touch_links_weight_and_posture_are_kept():
+def test_touch_links_weight_and_posture_are_kept_and_append_adds_shapes_and_touch_links():
     posture = message("trajectory_msgs/JointTrajectory", joint_names=["gripper"])
     told = {**held("cup", touch_links=("wrist_link", "wrist_link")), "weight": 0.5, "detach_posture": posture}
     thing = after_attached(told).attached["cup"]
     assert (thing.touch_links, thing.weight, thing.detach_posture) == (("wrist_link",), 0.5, posture)
+    append = {"operation": APPEND, "primitives": [BALL], "header": {"frame_id": "gripper_link"}}
+    tool = new("tool", at=pose(0.1), frame="gripper_link") | {"touch_links": ["lower_arm_link"]}
+    thing = after_attached(tool, held("tool", touch_links=("wrist_link",), **append)).attached["tool"]
+    assert thing.collision_object.pose == Pose((0.1, 0.0, 0.0))
+    assert isinstance(thing.attached_object.object.shapes[0][0], Box)
+    np.testing.assert_allclose(thing.collision_object.shapes[1][1].position_m, (-0.1, 0.0, 0.0), atol=1e-12)
+    assert thing.touch_links == ("lower_arm_link", "wrist_link")
 
 
 @pytest.mark.parametrize("touch_links", [("wrist_link",), ("wrist_link", "wrist_link")])
@@ -231,25 +241,6 @@ def test_attach_of_an_equal_object_keeps_the_present_one(touch_links):
     assert again.attached["tool"] is before.attached["tool"]
     planning_scene.apply_attached_object(again, {**told, "weight": 0.5}, "it")
     assert again.attached["tool"].weight == 0.5
-
-
-def test_append_adds_shapes_and_touch_links():
-    append = {"operation": APPEND, "primitives": [BALL], "header": {"frame_id": "gripper_link"}}
-    tool = new("tool", at=pose(0.1), frame="gripper_link") | {"touch_links": ["lower_arm_link"]}
-    thing = after_attached(tool, held("tool", touch_links=("wrist_link",), **append)).attached["tool"]
-    assert thing.collision_object.pose == Pose((0.1, 0.0, 0.0))
-    assert isinstance(thing.attached_object.object.shapes[0][0], Box)
-    np.testing.assert_allclose(thing.collision_object.shapes[1][1].position_m, (-0.1, 0.0, 0.0), atol=1e-12)
-    assert thing.touch_links == ("lower_arm_link", "wrist_link")
-
-
-def test_detach_leaves_objects_where_they_are_now_and_without_a_name_all_of_the_link():
-    changing = after_attached(held("cup"), held("cup", "", operation=REMOVE))
-    assert changing.attached == {}
-    np.testing.assert_allclose(matrix_of(changing.objects["cup"].pose), matrix_of(Pose((0.3, 0.0, 0.0))), atol=1e-12)
-    taken, all_of_the_wrist = (held("cup"), held("pen", "wrist_link")), held("", "wrist_link", operation=REMOVE)
-    changing = after_attached(*taken, all_of_the_wrist, before=(CUP, collision_object(**box("pen"))))
-    assert (list(changing.attached), list(changing.objects)) == (["cup"], ["pen"])
 
 
 LINK, OBJECT = MoveItErrorCode.INVALID_LINK_NAME, MoveItErrorCode.INVALID_OBJECT_NAME

@@ -20,7 +20,7 @@ from tests.helpers.moveit import BENT, ROBOT, box, diff, held, message, pose, re
 ADDED = diff(world={"collision_objects": [box("cup", at=pose(0.3)), box("pen")]})
 
 
-def test_every_change_that_planners_see_has_a_version_of_its_own():
+def test_every_change_that_planners_see_has_its_version_and_a_repeated_message_none():
     state = scene_state()
     versions = {state.scene.version}
     for fields in (
@@ -32,9 +32,6 @@ def test_every_change_that_planners_see_has_a_version_of_its_own():
         state.apply_diff(diff(**fields), BENT)
         versions.add(state.scene.version)
     assert len(versions) == 5
-
-
-def test_a_repeated_message_changes_nothing():
     state, calls = scene_state(), []
     state.apply_diff(ADDED, BENT)
     scene, contents = state.scene, state.contents

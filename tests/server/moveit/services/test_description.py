@@ -85,15 +85,7 @@ def test_only_meshes_and_textures_below_the_description_are_served(files: Path, 
         files_in(files).read(name)
 
 
-def test_files_too_large_or_of_no_description_are_refused(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
-    with pytest.raises(FileTooLargeError, match="5 bytes, the limit is 4"):
-        files_in(files).read("assets/base.stl")
-    with pytest.raises(ServiceError, match="names no files"):
-        files_in(None).read("assets/base.stl")
-
-
-def test_the_package_may_have_the_name_of_the_robot_or_of_its_folder_or_of_one_within(files: Path) -> None:
+def test_files_of_packages_are_found_and_those_too_large_refused(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("assets/base.stl", f"package://{PACKAGE}/assets/base.stl", "package://robot/assets/base.stl"):
         assert files_in(files).find(name) == files / "assets" / "base.stl", name
     inner = files / PACKAGE / "base.stl"
@@ -101,6 +93,11 @@ def test_the_package_may_have_the_name_of_the_robot_or_of_its_folder_or_of_one_w
     inner.write_bytes(b"solid")
     assert files_in(files).find(f"package://{PACKAGE}/base.stl") == inner
     assert files_in(files).find("package://assets/base.stl") == files / "assets" / "base.stl"
+    monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
+    with pytest.raises(FileTooLargeError, match="5 bytes, the limit is 4"):
+        files_in(files).read("assets/base.stl")
+    with pytest.raises(ServiceError, match="names no files"):
+        files_in(None).read("assets/base.stl")
 
 
 def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(tmp_path: Path) -> None:
@@ -188,7 +185,7 @@ def test_only_transforms_beyond_the_thresholds_are_sent_again_at_the_rate(
         assert world.moved() == moved
 
 
-def test_a_goal_ends_when_it_is_cancelled_and_when_its_sender_leaves(world: World) -> None:
+def test_goals_end_when_left_and_subscriptions_are_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     world.send_goal("a")
     world.send_goal("b")
     world.say("a", op="cancel_action_goal", id="g", action=description.ACTION)
@@ -197,6 +194,12 @@ def test_a_goal_ends_when_it_is_cancelled_and_when_its_sender_leaves(world: Worl
     world.client("b").leave()
     world.move(0.4)
     assert not world.republisher._goals
+    monkeypatch.setattr(description, "MAX_SUBSCRIPTIONS", 1)
+    world.send_goal("a")
+    world.say("c", op="call_service", service=description.SERVICE, args=REQUEST)
+    world.send_goal("c")
+    for answer in world.heard("c"):
+        assert (answer["result"], answer["values"]) == (False, "there are 1 subscriptions already, the limit")
 
 
 def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(world: World) -> None:
@@ -213,15 +216,6 @@ def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(wo
     assert topic in world.graph.topic_names.types()
     world.move(0.4)
     assert topic not in world.graph.topic_names.types()
-
-
-def test_the_number_of_subscriptions_is_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(description, "MAX_SUBSCRIPTIONS", 1)
-    world.send_goal("a")
-    world.say("c", op="call_service", service=description.SERVICE, args=REQUEST)
-    world.send_goal("c")
-    for answer in world.heard("c"):
-        assert (answer["result"], answer["values"]) == (False, "there are 1 subscriptions already, the limit")
 
 
 class Screen:

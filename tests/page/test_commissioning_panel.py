@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -91,15 +92,29 @@ class ScriptedProcedures:
         self._send(operation)
 
 
-@pytest.fixture
-def page(routed: OpenPage) -> OpenPage:
-    return routed
+@pytest.fixture(scope="module")
+def scripted(browser: Browser, server: RunningServer) -> Iterator[ScriptedProcedures]:
+    with opened(browser, own=True) as page:
+        yield opened_on_procedures(page, server)
+        assert page.errors == []
 
 
 @pytest.fixture
-def procedures(page: OpenPage, server: RunningServer) -> ScriptedProcedures:
-    """Return scripted procedures, with the page open on them."""
-    return opened_on_procedures(page, server)
+def procedures(scripted: ScriptedProcedures) -> ScriptedProcedures:
+    """Return scripted procedures, of which none is played, with the page open on them."""
+    page = scripted.page
+    page.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+    scripted.publish()
+    page.until_state("s.commissioning.procedure === '' && s.commissioning.result === ''")
+    page.open_panel("arm", "commissioning")
+    scripted.calls.clear()
+    scripted.refusal = ""
+    return scripted
+
+
+@pytest.fixture
+def page(procedures: ScriptedProcedures) -> OpenPage:
+    return procedures.page
 
 
 def opened_on_procedures(page: OpenPage, server: RunningServer) -> ScriptedProcedures:
@@ -241,20 +256,17 @@ def test_the_reason_of_a_refusal_is_told(page: OpenPage, procedures: ScriptedPro
 
 def test_the_range_of_the_joint_in_hand_is_drawn_on_the_arm(browser: Browser, server: RunningServer) -> None:
     with opened(browser, draws=True, own=True) as page:
-        assert_range_is_drawn(page, opened_on_procedures(page, server))
-
-
-def assert_range_is_drawn(page: OpenPage, procedures: ScriptedProcedures) -> None:
-    procedures.publish(**SWEEP, joints=[joint("shoulder_pan", 1000, 2047, 3000)])
-    page.until_state("s.commissioning.step === 'sweep'")
-    procedures.publish(**SWEEP, joints=[joint("shoulder_pan", 1000, 2147, 3000)])
-    page.until_state("s.joint_in_hand?.joint === 'shoulder_pan'")
-    # Beside the joint, in the plane in which it turns.
-    beside_m = (0.12, 0.07, 0.06)
-    page.shot("swept_range")
-    page.until_colour(beside_m, lambda red, green, blue: min(green, blue) > red + 15)
-    procedures.publish()
-    page.until_colour(beside_m, lambda red, green, blue: min(green, blue) <= red + 15)
+        procedures = opened_on_procedures(page, server)
+        procedures.publish(**SWEEP, joints=[joint("shoulder_pan", 1000, 2047, 3000)])
+        page.until_state("s.commissioning.step === 'sweep'")
+        procedures.publish(**SWEEP, joints=[joint("shoulder_pan", 1000, 2147, 3000)])
+        page.until_state("s.joint_in_hand?.joint === 'shoulder_pan'")
+        # Beside the joint, in the plane in which it turns.
+        beside_m = (0.12, 0.07, 0.06)
+        page.shot("swept_range")
+        page.until_colour(beside_m, lambda red, green, blue: min(green, blue) > red + 15)
+        procedures.publish()
+        page.until_colour(beside_m, lambda red, green, blue: min(green, blue) <= red + 15)
 
 
 def test_a_verification_shows_droop_and_brings_the_whole_arm_into_the_picture(
@@ -276,7 +288,10 @@ def test_a_verification_shows_droop_and_brings_the_whole_arm_into_the_picture(
     assert page.page.get_by_role("meter").count() == 0
 
 
-def test_whoever_may_not_configure_sees_the_procedure_and_why_it_is_grey(page: OpenPage, server: RunningServer) -> None:
+def test_whoever_may_not_configure_sees_the_procedure_and_why_it_is_grey(
+    routed: OpenPage, server: RunningServer
+) -> None:
+    page = routed
     procedures = ScriptedProcedures(page, role="operate")
     page.open(server.port)
     page.until_state("s.identity?.role === 'operate'")
@@ -285,12 +300,13 @@ def test_whoever_may_not_configure_sees_the_procedure_and_why_it_is_grey(page: O
     assert page.part("calibrate").is_disabled()
     procedures.publish(**SWEEP)
     page.until_text("instruction", "Move every joint.")
-    page.page.wait_for_timeout(500)
+    page.pause(500)
     assert page.part("answer-0").is_disabled()
     assert page.part("procedure-cancel").is_disabled()
 
 
-def test_a_server_without_procedures_has_no_such_section(page: OpenPage, server: RunningServer) -> None:
+def test_a_server_without_procedures_has_no_such_section(routed: OpenPage, server: RunningServer) -> None:
+    page = routed
     ScriptedProcedures(page, offered=False)
     page.open(server.port)
     page.until_state("s.identity !== null && s.servos.length > 0")

@@ -12,8 +12,9 @@ from playwright.sync_api import Browser
 from harness.clients import tip
 from harness.page import SHARED, OpenPage, opened
 from harness.server import FAST_ARMS, ROOT, RunningServer
+from tests.helpers.arm_record import hold_until
 from tests.helpers.robots import SEVEN_JOINT_SRDF, SEVEN_JOINT_URDF
-from tests.page.test_drive import hold, press_until
+from tests.page.test_drive import hold
 from tests.page.test_page import set_speed
 
 JOINTS = ["lift", "a2", "a3", "a4", "a5", "a6", "a7"]
@@ -147,9 +148,11 @@ def test_two_arms_are_shown_and_each_is_moved_by_its_group(browser: Browser, set
             ("jog-gripper-plus", "right_gripper"),
         ):
             before = page.joints()
-            at = f"s.joints.position_rad[s.joints.names.indexOf('{moved}')]"
-            moves = f"Math.abs({at} - {before[moved]}) > 0.05"
-            press_until(page, moves, functools.partial(hold, page, control), page.page.mouse.up)
+
+            def moves(moved: str = moved, before: dict[str, float] = before) -> bool:
+                return abs(page.joints()[moved] - before[moved]) > 0.05
+
+            hold_until(moves, functools.partial(hold, page, control), page.page.mouse.up)
             page.page.mouse.up()
             after = page.joints()
             for joint in (name for name in before if name.startswith("left_")):

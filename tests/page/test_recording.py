@@ -19,7 +19,7 @@ from server.errors import RecordingError
 from server.interfaces import load_registry
 from server.recording.replay import messages
 from tests.helpers.messages import time_message
-from tests.page.test_cameras import TOPIC, TYPE, picture
+from tests.page.test_what_is_offered import TOPIC, TYPE, picture
 
 LEADER = "/leader/joint_states"
 

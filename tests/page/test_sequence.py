@@ -38,12 +38,22 @@ PATIENCE_S = PATIENCE_MS / 1e3
 SETTINGS = {**FAST, **SHARED}
 
 
+@pytest.fixture(scope="module")
+def panel(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    with opened(browser) as open_page:
+        open_sequence(open_page, server)
+        yield open_page
+        assert open_page.errors == []
+
+
 @pytest.fixture
-def page(tab: OpenPage, server: RunningServer) -> OpenPage:
-    """The panel, with an empty scene."""
+def page(panel: OpenPage, server: RunningServer) -> OpenPage:
+    """The panel, with an empty scene and no waypoints."""
     assert call(server.url, "/apply_planning_scene", {"scene": {"is_diff": False}})["success"]
-    open_sequence(tab, server)
-    return tab
+    panel.open_panel("sequence")
+    load(panel)
+    panel.until_state("s.objects.length === 0 && s.sequence.checks.length === 0")
+    return panel
 
 
 def open_sequence(page: OpenPage, server: RunningServer) -> None:
@@ -269,23 +279,19 @@ def test_a_sequence_has_pictures_path_and_time_and_is_there_again_after_a_reload
     move(server, PLACES[2])
     with opened(browser, draws=True) as page:
         open_sequence(page, server)
-        assert_pictures_path_and_time_are_kept(page, server)
-
-
-def assert_pictures_path_and_time_are_kept(page: OpenPage, server: RunningServer) -> None:
-    load(page, waypoint(PLACES[0]), waypoint(PLACES[1], pause_s=1.5))
-    for _ in range(2):
-        until_checked(page, "possible", "possible")
-        page.until_text("sequence-total", "s in all")
-        total_s = float((page.part("sequence-total").text_content() or "").split()[0])
-        moving_s = sum(check["duration_s"] for check in page.state("sequence.checks"))
-        assert total_s == pytest.approx(moving_s + 1.5, abs=0.06)
-        page.until_state("Object.keys(s.thumbnails).length === 2 && s.plan.tool_path.length > 20")
-        pictures = page.page.evaluate("[...document.querySelectorAll('.thumbnail')].map(each => each.src)")
-        assert len(set(pictures)) == 2
-        assert all(picture.startswith("data:image/png") for picture in pictures)
-        page.open(server.port)
-        page.open_panel("sequence")
+        load(page, waypoint(PLACES[0]), waypoint(PLACES[1], pause_s=1.5))
+        for _ in range(2):
+            until_checked(page, "possible", "possible")
+            page.until_text("sequence-total", "s in all")
+            total_s = float((page.part("sequence-total").text_content() or "").split()[0])
+            moving_s = sum(check["duration_s"] for check in page.state("sequence.checks"))
+            assert total_s == pytest.approx(moving_s + 1.5, abs=0.06)
+            page.until_state("Object.keys(s.thumbnails).length === 2 && s.plan.tool_path.length > 20")
+            pictures = page.page.evaluate("[...document.querySelectorAll('.thumbnail')].map(each => each.src)")
+            assert len(set(pictures)) == 2
+            assert all(picture.startswith("data:image/png") for picture in pictures)
+            page.open(server.port)
+            page.open_panel("sequence")
 
 
 def test_a_strip_below_the_picture_shows_how_far_the_gripper_is_open(page: OpenPage) -> None:
@@ -314,6 +320,7 @@ def test_a_sequence_is_repeated_until_it_is_stopped(page: OpenPage, server: Runn
         until(went_through(PLACES[0], PLACES[1], PLACES[0], PLACES[1]))
         page.part("stop").click()
     page.until_text("sequence-told", "The sequence was stopped.")
+    page.part("sequence-loop").uncheck()
 
 
 def test_a_file_that_is_no_sequence_says_so_and_changes_nothing(page: OpenPage) -> None:

@@ -3,6 +3,7 @@
 import csv
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,14 @@ JOINTS, NAMED = "/moveit_goal_joints", "/moveit_goal_named"
 
 # Out of reach of every joint of the arm.
 BEYOND_RAD = 9.0
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    with opened(browser) as open_page:
+        open_page.open(server.port)
+        yield open_page
+        assert open_page.errors == []
 
 
 def move_pan(server: RunningServer, position_rad: float) -> None:

@@ -1,15 +1,29 @@
-"""What the page offers can be done, and what it says is so: its plans, refusals, panels and what it has stored."""
+"""What the page offers can be done, and what it says is so: its plans, refusals, panels, cameras and its connection."""
 
+import base64
+import io
 import json
+import signal
+import time
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser
 from websockets.sync import client as blocking
 
 from harness.clients import call, goal
-from harness.page import SHARED, OpenPage, opened
+from harness.page import DESKTOP, SHARED, SIZES, OpenPage, opened
 from harness.server import RunningServer
+from harness.waiting import TIMEOUT_S
+from tests.helpers.arm_record import MOVED_RAD, ArmRecord
+
+TOPIC = "/camera/image/compressed"
+TYPE = "sensor_msgs/CompressedImage"
+
+CONFIRM_MODE = "/moveit_goal_confirm_mode"
+PREEMPTED, SUCCESS = -7, 1
 
 SETTINGS = SHARED
 
@@ -17,6 +31,14 @@ SETTINGS = SHARED
 AWAY_RAD = 0.1
 
 NO_STORAGE = "Storage.prototype.setItem = () => { throw new DOMException('full', 'QuotaExceededError'); };"
+
+
+@pytest.fixture(scope="module")
+def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    with opened(browser) as open_page:
+        open_page.open(server.port)
+        yield open_page
+        assert open_page.errors == []
 
 
 def named(server: RunningServer, pose: str) -> str:
@@ -68,16 +90,13 @@ def test_the_ghost_of_a_goal_offers_no_motion(page: OpenPage, server: RunningSer
     assert not page.offers("go")
 
 
-@pytest.mark.parametrize("size_m", [-1.0, -2.0])
-def test_a_refusal_in_world_has_its_own_reason(page: OpenPage, server: RunningServer, size_m: float) -> None:
-    scene = changed(size_m - 10.0)
-    assert not call(server.url, "/apply_planning_scene", {"scene": scene})["success"]
+def test_a_refusal_in_world_has_its_own_reason(page: OpenPage, server: RunningServer) -> None:
+    assert not call(server.url, "/apply_planning_scene", {"scene": changed(-11.0)})["success"]
     page.open_panel("world", "saved-scenes")
-    content = json.dumps(changed(size_m)).encode()
+    content = json.dumps(changed(-2.0)).encode()
     page.part("scene-file").set_input_files({"name": "scene.json", "mimeType": "application/json", "buffer": content})
-    page.until("document.querySelector('[data-testid=scene-result]').textContent !== ''")
-    assert f"{size_m:g}" in page.part("scene-result").inner_text()
-    assert f"{size_m - 10.0:g}" not in page.part("scene-result").inner_text()
+    page.until_text("scene-result", "-2")
+    assert "-11" not in page.part("scene-result").inner_text()
 
 
 def changed(size_m: float) -> dict[str, Any]:
@@ -114,3 +133,90 @@ def test_a_sequence_that_the_browser_does_not_store_is_not_called_saved(
         page.part("sequence-name").fill("mine")
         page.part("save-sequence").click()
         page.until_text("sequence-told", "stores nothing")
+
+
+def picture(width: int, kind: str) -> dict[str, Any]:
+    """Return a CompressedImage of a width."""
+    file = io.BytesIO()
+    Image.new("RGB", (width, 40), (20, 120, 200)).save(file, kind)
+    return {"format": kind, "data": base64.b64encode(file.getvalue()).decode()}
+
+
+def subscribers(server: RunningServer) -> list[str]:
+    return list(call(server.url, "/rosapi/subscribers", {"topic": TOPIC})["subscribers"])
+
+
+def test_a_camera_is_a_tile_while_it_is_seen(page: OpenPage, server: RunningServer) -> None:
+    page.open_panel("cameras")
+    page.part("cameras-empty").wait_for()
+    with blocking.connect(server.url) as camera:
+        camera.send(json.dumps({"op": "advertise", "topic": TOPIC, "type": TYPE}))
+        page.wait(lambda: TOPIC in call(server.url, "/rosapi/topics_for_type", {"type": TYPE})["topics"])
+        page.part("cameras-look").click()
+        tile = page.part(f"camera-{TOPIC}")
+        tile.wait_for()
+
+        def shows(width: int, kind: str) -> bool:
+            camera.send(json.dumps({"op": "publish", "topic": TOPIC, "type": TYPE, "msg": picture(width, kind)}))
+            return bool(tile.evaluate("img => img.naturalWidth") == width)
+
+        page.wait(lambda: shows(60, "jpeg"))
+        page.wait(lambda: shows(80, "png"))
+        page.open_panel("log")
+        # The next picture finds the tile out of sight.
+        page.wait(lambda: [shows(20, "png")] and subscribers(server) == [])
+
+
+def test_a_goal_is_discarded_or_confirmed_by_a_person(page: OpenPage, record: ArmRecord, server: RunningServer) -> None:
+    assert page.part("confirm").is_hidden()
+    page.open_panel("move")
+    named(server, "home")
+    assert call(server.url, CONFIRM_MODE, {"data": True})["success"]
+    with blocking.connect(server.url) as client:
+        subscription = {"topic": "/moveit_goal_result", "type": "moveit_msgs/MoveItErrorCodes"}
+        client.send(json.dumps({"op": "subscribe", **subscription}))
+        for control, code in (("discard", PREEMPTED), ("confirm", SUCCESS)):
+            began_s = time.time()
+            message = {"topic": "/moveit_goal_named", "type": "std_msgs/String", "msg": {"data": "ready"}}
+            client.send(json.dumps({"op": "publish", **message}))
+            page.until_text("state-pill", "CONFIRM?")
+            page.until_state("s.plan.trajectory !== null")
+            page.until_text("next-step", "Confirm or Discard")
+            assert not page.offers("go")
+            assert cut_sizes(page) == []
+            page.part(control).click()
+            assert json.loads(client.recv(timeout=TIMEOUT_S))["msg"]["val"] == code
+            assert (record.way_rad(began_s) > MOVED_RAD) is (control == "confirm")
+            page.until("document.querySelector('[data-testid=confirm]').hidden")
+    assert call(server.url, CONFIRM_MODE, {"data": False})["success"]
+
+
+def cut_sizes(page: OpenPage) -> list[tuple[int, int]]:
+    """Sizes of the window at which the sentence beside the buttons is not shown whole."""
+    found = []
+    for width, height in SIZES:
+        page.page.set_viewport_size({"width": width, "height": height})
+        if page.part("message").evaluate("message => message.scrollHeight > message.clientHeight + 1"):
+            found.append((width, height))
+    page.page.set_viewport_size({"width": DESKTOP[0], "height": DESKTOP[1]})
+    return found
+
+
+def test_the_page_comes_back_by_itself(page: OpenPage, server: RunningServer, settings: dict[str, str]) -> None:
+    """The last test of this server."""
+    named(server, "ready")
+    plan_to(page, "home")
+    server.end(signal.SIGKILL)
+    page.until_state("!s.link.connected")
+    assert page.part("primary").is_disabled()
+    assert "grayscale" in page.part("view").evaluate("view => getComputedStyle(view).filter")
+    page.part("stop").click()
+    page.until_text("stop", "not acknowledged")
+    stamp = page.state("joints.stamp")
+    with RunningServer(f"--port {server.port}", settings):
+        page.until_state(f"s.link.connected && s.joints.stamp > {stamp}")
+        # Of the server before.
+        assert not page.offers("go")
+        page.part("named-ready").click()
+        page.part("plan-and-move").click()
+        page.until_state("s.goal.code === 1")

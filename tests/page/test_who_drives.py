@@ -1,19 +1,24 @@
-"""The page where others drive, and where not everybody may."""
+"""The page where others drive and look, and where not everybody may: tokens, control, codes for others, and a film."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from urllib.parse import quote
 
 import pytest
 from playwright.sync_api import Browser, WebSocket
 from websockets.sync.client import connect
 
-from harness.clients import call_on
-from harness.page import OpenPage, opened
+from harness.clients import call_on, goal
+from harness.page import PHONE, OpenPage, opened
 from harness.server import RunningServer
 from tests.helpers.robots import meshed_arm, small_stl
 
 ADMIN, OPERATOR, OTHER, VIEWER = (f"{name}+secret/0123=" for name in ("admin", "operator", "other", "viewer"))
+
+
+# Every WebM begins with the EBML header (RFC 8794, section 11.2.1).
+EBML = bytes.fromhex("1a45dfa3")
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +34,13 @@ def settings(settings: dict[str, str], tmp_path_factory: pytest.TempPathFactory)
         "ARMBRIDGE_ACCESS__VIEW_TOKENS__SCREEN": VIEWER,
         "ARMBRIDGE_ACCESS__CONTROL_IDLE_S": "600",
     }
+
+
+@pytest.fixture(scope="module")
+def server(settings: dict[str, str]) -> Iterator[RunningServer]:
+    """A server on the network."""
+    with RunningServer("--port 0 --host 0.0.0.0", settings) as running:
+        yield running
 
 
 @contextmanager
@@ -108,3 +120,63 @@ def test_an_administrator_takes_control_from_another(browser: Browser, server: R
         page.part("take-over").click()
         page.until_text("control", "This page controls the arm")
         assert not call_on(other, "/arm/take_control")["success"]
+
+
+def test_the_last_seconds_are_saved_as_a_film(browser: Browser, server: RunningServer, tmp_path: Path) -> None:
+    with opened(browser, draws=True) as page:
+        page.open(server.port, f"#token={ADMIN}")
+        page.open_panel("settings")
+        assert page.part("film-save").is_disabled()
+        page.part("film-on").check()
+        for pose in ("home", "ready"):
+            assert goal(f"{server.url}&token={quote(ADMIN)}", "/moveit_goal_named", {"data": pose})["val"] == 1
+        film = page.download("film-save", tmp_path).read_bytes()
+        assert film.startswith(EBML)
+        assert len(film) > 2000
+        # The next one is filmed already.
+        page.until("!document.querySelector('[data-testid=film-save]').disabled")
+        page.part("film-on").uncheck()
+        assert page.part("film-save").is_disabled()
+
+
+def test_a_code_lets_a_page_in_that_only_looks(browser: Browser, server: RunningServer) -> None:
+    with page_of(browser, server, ADMIN) as page:
+        page.open_panel("settings")
+        page.part("share-show-code").click()
+        page.part("share-qr").wait_for()
+        token = (page.part("share-address").text_content() or "").partition("#token=")[2]
+        with opened(browser, PHONE, has_touch=True, is_mobile=True) as other:
+            other.open(server.port, f"#token={token}")
+            other.until_state("s.identity?.role === 'view'")
+            other.until_text("control", "Read only")
+            other.open_panel("move")
+            assert other.part("relax").is_disabled()
+
+
+def test_the_code_lets_one_phone_in(browser: Browser, server: RunningServer) -> None:
+    with page_of(browser, server, ADMIN) as page:
+        page.open_panel("drive")
+        page.page.locator("#section-phone > summary").click()
+        page.part("phone-show-code").click()
+        page.until_text("phone-note", "lets one phone in")
+        page.until_text("phone-note", "not encrypted")
+        address = page.part("phone-address").text_content() or ""
+        assert finder_pattern(page) == [True, False, True, True, True, False, True]
+        token = address.partition("#token=")[2]
+        assert token not in ("", ADMIN)
+        with opened(browser, PHONE, has_touch=True, is_mobile=True) as phone:
+            phone.open(server.port, f"#token={token}")
+            phone.until_state("s.identity?.role === 'operate'")
+            with connect(f"ws://127.0.0.1:{server.port}") as other:
+                other.send(f'{{"op": "auth", "token": "{token}"}}')
+                with pytest.raises(Exception, match="one-time token lets one connection in"):
+                    call_on(other, "/arm/who_am_i")
+        assert not any(token in line for line in server.lines)
+
+
+def finder_pattern(page: OpenPage) -> list[bool]:
+    """The fourth row of the pattern in the corner of every QR code, dark modules being true."""
+    path = "document.querySelector('[data-testid=phone-qr] path')"
+    inside = f"{path}.isPointInFill(new DOMPoint(column + 0.5, 3.5))"
+    dark: list[bool] = page.page.evaluate(f"Array.from({{ length: 7 }}, (_, column) => {inside})")
+    return dark

@@ -1,13 +1,14 @@
 """The panel World: what is added there stands in the arm's way, is held, comes back, and shows where the arm can be."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from playwright.sync_api import Browser
 
 from harness.clients import call
-from harness.page import SHARED, OpenPage
+from harness.page import SHARED, OpenPage, opened
 from harness.server import FAST, RunningServer
 
 # In front of the arm, within its reach.
@@ -20,18 +21,22 @@ Point = tuple[float, ...]
 SETTINGS = {**FAST, **SHARED}
 
 
+@pytest.fixture(scope="module")
+def world(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    with opened(browser) as open_page:
+        open_page.open(server.port)
+        open_page.until_state("s.link.connected && s.identity !== null && s.editing.saved !== null")
+        open_page.open_panel("world")
+        yield open_page
+        assert open_page.errors == []
+
+
 @pytest.fixture
-def page(tab: OpenPage, server: RunningServer) -> OpenPage:
+def page(world: OpenPage, server: RunningServer) -> OpenPage:
     """The panel, with an empty scene."""
     assert call(server.url, "/apply_planning_scene", {"scene": {"is_diff": False}})["success"]
-    open_world(tab, server)
-    return tab
-
-
-def open_world(page: OpenPage, server: RunningServer) -> None:
-    page.open(server.port)
-    page.until_state("s.link.connected && s.identity !== null && s.editing.saved !== null")
-    page.open_panel("world")
+    world.until_state("s.objects.length === 0")
+    return world
 
 
 def add_by_click(page: OpenPage, kind: str, place_m: tuple[float, float, float]) -> None:

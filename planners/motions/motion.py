@@ -49,16 +49,13 @@ from planners.motions.path_timing import MAX_DURATION_S, standing
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
 
-# Parts drawn at once: one numpy call gives the time that each would save, and the best is tried first.
-PARTS_A_ROUND = 32
-
+PARTS_A_ROUND = 32  # parts drawn at once: one numpy call gives the time that each would save, the best is tried first
 TRIES_A_ROUND = 4  # parts of these that are tried before others are drawn: drawing takes as long as the checks of one
 SHRINK = 0.7  # parts become shorter by this factor after a round without a gain, and longer again after one with a gain
 LEAST_GAIN_TICKS = 40  # a part that saves less does not pay for its checks [ticks]
 FRUITLESS_ROUNDS = 5  # rounds without a gain after which the curve is about as short as it gets
 
 STRAIGHT_LINE = "straight line"
-
 SPARSE_STEP_M = 0.2  # sparse check of a straight line before it is timed: most blocked ones are found here [m]
 
 # Coarse checks of edges [m] and curves [share of the reach] let trees grow and motions shorten soonest; all are finer
@@ -66,8 +63,7 @@ SPARSE_STEP_M = 0.2  # sparse check of a straight line before it is timed: most 
 SEARCH_STEPS_M = (0.08, 0.03, 0.01, 0.005)
 CURVE_STEPS = (0.04, 0.02, 0.01, 0.002)
 
-# Work after which the shortest motion so far is certified, so that little is left to do once the time is over.
-CHECKS_A_ROUND = 6000
+CHECKS_A_ROUND = 6000  # work after which the shortest motion so far is certified: little is left as the time is over
 
 # A search that has found nothing by then, in some 10 s, is given up for another: trees would grow without a bound. Two
 # searches in turns take as many checks.

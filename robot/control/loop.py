@@ -17,7 +17,7 @@ from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
 from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.hardware.interface import HardwareInterface
-from robot.messages import ArmConfig, Command, Order
+from robot.messages import ArmConfig, Command, Execute, Order, Stop
 
 if TYPE_CHECKING:
     from robot.hardware.servos.family import ServoFamily
@@ -69,6 +69,9 @@ def _family(config: SerialConfig) -> ServoFamily:
 
 # A step of a sequence is a transaction of 1 to 2 ms; when less time is left until the tick, only the first is taken.
 STEP_ROOM_S = 0.002
+
+# Messages that change the goals of an arm: the next tick comes sooner, up to half a period.
+_PROMPT = (Execute, Stop, Command)
 
 
 class ArmLoop:
@@ -129,13 +132,17 @@ class ArmLoop:
             if remaining_s > STEP_ROOM_S and (wait_s := self._supervisor.work()) < remaining_s:
                 # The clock of a simulated arm stands still until the tick, and so does a wait on it.
                 idle_s = remaining_s if self._simulated and wait_s > 0.0 else wait_s
+            messages: list[Any] = []
             if self._channel.closed:
                 time.sleep(max(0.0, idle_s))
             else:
-                self._handle(self._channel.receive(idle_s))
+                messages = self._channel.receive(idle_s)
+                self._handle(messages)
             if (spare := self._supervisor.spare_ticks) < skipped:
                 pacer.cancel_skip(skipped - spare, time.monotonic())
                 skipped = spare
+            if any(isinstance(message, _PROMPT) for message in messages):
+                pacer.bring_forward(time.monotonic())
         return skipped
 
     def _handle(self, messages: list[Any]) -> None:

@@ -54,6 +54,10 @@ class Pacer:
         """Undo :meth:`skip`; a tick that would have been due meanwhile is due now, and not late."""
         self.deadline_s = max(self.deadline_s - ticks * self._period_s, now_s)
 
+    def bring_forward(self, now_s: float) -> None:
+        """Let the next tick be due now, and not late, but no sooner than half a period after the latest."""
+        self.deadline_s = min(self.deadline_s, max(now_s, self.tick_s + 0.5 * self._period_s))
+
     def latest(self, count: int) -> tuple[float, ...]:
         """Return the lateness of the latest ticks, one value each [s]."""
         return tuple(self.lateness_s)[-count:]

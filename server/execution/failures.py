@@ -48,12 +48,14 @@ async def with_nearest_goal(
     it. The message says the same.
     """
     match problem:
-        case PlanningProblem() if failure.code in SUGGESTED_FOR or _beyond_limits(failure, problem):
-            pass
-        case CartesianProblem() if failure.code in SUGGESTED_FOR_PATHS:
-            pass
+        case PlanningProblem():
+            suggested = failure.code in SUGGESTED_FOR or _beyond_limits(failure, problem)
+        case CartesianProblem():
+            suggested = failure.code in SUGGESTED_FOR_PATHS
         case _:
             return failure
+    if not suggested:
+        return failure
     try:
         question = NearestGoalQuestion(problem, code=failure.code)
         answer = await asyncio.wait_for(pool.ask(question, scene), ASKING_TIMEOUT_S)

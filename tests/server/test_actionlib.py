@@ -60,7 +60,7 @@ def test_a_status_comes_five_times_a_second_before_there_is_any_goal(stage: Stag
     assert len(stage.heard[f"{MOVE}/status"]) == 5
 
 
-def test_a_goal_goes_its_way_from_active_to_its_result(stage: Stage) -> None:
+def test_a_goal_goes_its_way_from_active_to_its_result_and_is_told_of_for_five_more_seconds(stage: Stage) -> None:
     stage.send(request={"group_name": "arm"})
     assert stage.goals[0].request["request"]["group_name"] == "arm"
     assert stage.statuses() == [("one", ActionlibStatus.ACTIVE)]
@@ -68,21 +68,12 @@ def test_a_goal_goes_its_way_from_active_to_its_result(stage: Stage) -> None:
     stage.goals[0].finish(GoalStatus.SUCCEEDED, {"error_code": {"val": 1, "message": "there"}})
     assert [one["feedback"]["state"] for one in stage.heard[f"{MOVE}/feedback"]] == ["MONITOR"]
     assert stage.results() == [("one", ActionlibStatus.SUCCEEDED, "there", 1)]
-    assert stage.statuses() == [("one", ActionlibStatus.SUCCEEDED)]
+    for after_s, told in ((0.0, True), (4.0, True), (2.0, False)):
+        stage.clock.advance(after_s)
+        assert stage.statuses() == [("one", ActionlibStatus.SUCCEEDED)] * told
 
 
-def test_an_ended_goal_is_told_of_for_five_seconds(stage: Stage) -> None:
-    stage.send()
-    stage.goals[0].finish(GoalStatus.SUCCEEDED, {})
-    stage.clock.advance(4.0)
-    assert stage.statuses() == [("one", ActionlibStatus.SUCCEEDED)]
-    stage.clock.advance(2.0)
-    assert stage.statuses() == []
-
-
-def test_of_very_many_goals_the_oldest_that_have_ended_are_not_kept(
-    stage: Stage, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_many_goals_the_oldest_that_have_ended_are_not_kept(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.actionlib.MAX_GOALS", 20)
     stage.send("runs")
     for number in range(60):
@@ -197,9 +188,7 @@ def test_a_goal_of_a_client_that_may_not_send_one_is_rejected_to_it_alone(stage:
     assert stage.heard[f"{MOVE}/status"] == stage.heard[f"{MOVE}/result"] == []
 
 
-def test_a_goal_that_is_rejected_takes_no_id_from_others_and_one_that_cannot_be_read_is_told_to_nobody(
-    stage: Stage,
-) -> None:
+def test_a_rejected_goal_takes_no_id_from_others_and_an_unreadable_one_is_told_to_nobody(stage: Stage) -> None:
     stage.graph.reject_unauthorized(stage.client, f"{MOVE}/goal", {"goal_id": 5}, "another drives")
     assert stage.heard[f"{MOVE}/result"] == []
     stage.graph.reject_unauthorized(stage.client, f"{MOVE}/goal", {"goal_id": {"id": "one"}}, "another drives")

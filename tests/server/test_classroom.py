@@ -2,7 +2,6 @@
 
 import stat
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -20,9 +19,8 @@ from server.config import Settings
 from server.errors import ConfigurationError, StartError
 
 
-@pytest.mark.parametrize(
-    ("settings", "physics", "sentence"),
-    [
+def test_a_bad_classroom_is_refused_before_it_is_made(tmp_path: Path) -> None:
+    for settings, physics, sentence in (
         ({"arm": {"serial": "/dev/ttyACM0"}}, [], "arm.serial: the arms of a classroom are simulated"),
         ({"emulator": {"control": "/tmp/servos"}}, [], "emulator.control: the arms of a classroom are simulated"),
         ({"emulator": {"write_log": "/tmp/writes"}}, [], "emulator.write_log: the arms of a classroom are simulated"),
@@ -31,15 +29,11 @@ from server.errors import ConfigurationError, StartError
         ({"arm": {"robot": "no such arm"}}, [], "no such arm"),
         ({"server": {"port": 65_535}}, [], "there are none above 65535"),
         ({}, ["student01", "student03"], "--physics: there is no 'student03': the students are student01 to student02"),
-    ],
-)
-def test_a_bad_classroom_is_refused_before_it_is_made(
-    settings: dict[str, Any], physics: list[str], sentence: str, tmp_path: Path
-) -> None:
-    folder = tmp_path / "class"
-    with pytest.raises(ConfigurationError, match=sentence):
-        run_classroom(Settings.model_validate(settings), 2, 2, folder, physics)
-    assert not folder.exists()
+    ):
+        folder = tmp_path / "class"
+        with pytest.raises(ConfigurationError, match=sentence):
+            run_classroom(Settings.model_validate(settings), 2, 2, folder, physics)
+        assert not folder.exists(), settings
 
 
 def test_students_by_name_have_physics_and_the_others_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

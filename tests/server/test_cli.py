@@ -42,15 +42,12 @@ def exit_code_of(*arguments: str) -> object:
     return ended.value.code
 
 
-def test_help_names_every_command_and_what_exit_codes_mean(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_names_every_command_and_unknown_ones_are_usage_errors(capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code_of("--help") == 0
     said = capsys.readouterr().out
     for command in ("serve", "scan", "calibrate", "doctor", "relax", "plan", "replay", "emulate", "config"):
         assert command in said
     assert "Exit code 0" in said
-
-
-def test_unknown_commands_and_options_are_usage_errors(capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code_of("dance") == 2
     assert exit_code_of("serve", "--prot", "9191") == 2
     said = capsys.readouterr().err

@@ -10,19 +10,16 @@ from server.errors import ConfigurationError
 from server.gateway.settings import ServerSettings
 
 
-@pytest.mark.parametrize(
-    ("workers", "words"),
-    [
+def test_a_number_out_of_range_is_refused() -> None:
+    for workers, words in (
         (0, "greater than or equal to 1"),
         (17, "less than or equal to 16"),
         ("17", "16"),
         ("-1", "1"),
         ("many", "integer"),
-    ],
-)
-def test_a_number_out_of_range_is_refused(workers: int | str, words: str) -> None:
-    with pytest.raises(ConfigurationError, match=f"planning.workers: .*{words}"):
-        load(None, {"planning": {"workers": workers}})
+    ):
+        with pytest.raises(ConfigurationError, match=f"planning.workers: .*{words}"):
+            load(None, {"planning": {"workers": workers}})
 
 
 def taken(section: type[BaseModel], name: str, value: float) -> bool:
@@ -106,15 +103,12 @@ def test_several_arms_that_cannot_be_are_refused() -> None:
         assert words in refusal_of(**arms)
 
 
-def test_two_arms_cannot_share_a_port_whatever_it_is_called(tmp_path) -> None:
+def test_two_arms_cannot_share_a_port_and_have_no_section_of_the_single_one(tmp_path) -> None:
     port, alias = tmp_path / "ttyACM0", tmp_path / "by-id"
     port.touch()
     alias.symlink_to(port)
     said = refusal_of(left={"serial": str(port)}, right={"serial": str(alias)})
     assert said.startswith(f"settings: arms.right.serial: {alias} is the port of arms.left already")
-
-
-def test_with_several_arms_the_section_of_the_single_one_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="each has its settings in its own section"):
         load(None, {"arm": {"robot": "so101"}, "arms": {"left": {}}})
 

@@ -45,23 +45,17 @@ def test_the_nearest_key_is_the_one_that_was_meant() -> None:
 TEXT = template(Settings)
 
 
-def test_the_template_loads_to_the_defaults(tmp_path: Path) -> None:
+def test_the_template_loads_to_the_defaults_and_has_every_setting_in_its_section_explained(tmp_path: Path) -> None:
     file = tmp_path / "armbridge.toml"
     file.write_text(TEXT)
     settings, sources = load_with_sources(file, {})
     assert settings.model_dump() == load(None, {}).model_dump()
     assert set(sources.values()) == {"file"}
-
-
-def test_every_setting_stands_in_its_section_below_its_explanation() -> None:
     for setting in every_setting(Settings):
         # What stands in no section comes before the first.
         heading = f"[{setting.section}]\n" if setting.section else ""
         section = TEXT.partition(heading)[2].partition("\n[")[0] if heading else TEXT.partition("\n[")[0]
         assert re.search(rf"^# .*\n(# )?{setting.name} = ", section, re.MULTILINE), setting.key
-
-
-def test_a_setting_without_default_is_commented_out_with_its_meaning() -> None:
     assert '; leave it out for the simulated arm.\n# serial = "..."\n' in TEXT
     assert "\n# limit_mb = ...\n" in TEXT
 
@@ -76,9 +70,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "armbridge.toml"
 
 
-def test_the_environment_overrides_the_file_and_the_command_line_both(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_environment_overrides_the_file_and_options_both(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file.write_text('[server]\nhost = "file"\nport = 1\nlog_level = "error"\n[goals]\npolicy = "preempt"\n')
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     monkeypatch.setenv("ARMBRIDGE_SERVER__LOG_LEVEL", "debug")
@@ -128,16 +120,11 @@ OVERRIDDEN = {
 }
 
 
-def test_a_wrong_value_in_the_file_is_refused_under_the_command_line_as_well(file: Path) -> None:
+def test_a_wrong_value_is_refused_also_where_it_is_overridden(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for text, words in OVERRIDDEN.items():
         file.write_text(text)
         with pytest.raises(ConfigurationError, match=words):
             load(file, {"server": {"port": 1}})
-
-
-def test_a_wrong_value_is_refused_also_where_the_environment_or_the_command_line_overrides_it(
-    file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     file.write_text("[server]\nport = -1\n")
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     with pytest.raises(ConfigurationError, match=r"server\.port: .*-1, from the file"):
@@ -171,16 +158,13 @@ STRAY = {
 }
 
 
-def test_a_variable_that_sets_nothing_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_variable_names_an_entry_or_holds_json_or_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     for name, sentence in STRAY.items():
         with monkeypatch.context() as patched:
             patched.setenv(name, "1")
             with pytest.raises(ConfigurationError) as refused:
                 load(None, {})
         assert str(refused.value) == f"environment variable {sentence}"
-
-
-def test_a_variable_names_an_entry_of_a_table_or_holds_json(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ARMBRIDGE_ARM__ZERO_OFFSET_RAD__ELBOW_FLEX", "0.1")
     assert load(None, {}).arm.zero_offset_rad == {"elbow_flex": 0.1}
     monkeypatch.setenv("ARMBRIDGE_SERVER", "port")

@@ -24,19 +24,14 @@ WRITTEN = Path(__file__).parent / "data_of_0_1_0"
 NEWER = {"written_by": "9.9.9"}
 
 
-@pytest.fixture(params=[{}, NEWER], ids=["of 0.1.0", "of a newer version"])
-def directory(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
-    """A data directory with the states and the motion of a version."""
+@pytest.mark.parametrize("more", [{}, NEWER], ids=["of 0.1.0", "of a newer version"])
+async def test_saved_states_and_taught_motions_open(tmp_path: Path, more: dict[str, str]) -> None:
     for name in ("named_states_so101.json", "wave.json"):
         content = json.loads((WRITTEN / name).read_text())
-        (tmp_path / name).write_text(json.dumps({**content, **request.param}))
-    return tmp_path
-
-
-async def test_saved_states_and_taught_motions_open(directory: Path) -> None:
-    states = NamedStates(ROBOT, "arm", directory / "named_states_so101.json")
+        (tmp_path / name).write_text(json.dumps({**content, **more}))
+    states = NamedStates(ROBOT, "arm", tmp_path / "named_states_so101.json")
     assert states.saved == {"tray": {"shoulder_pan": 0.25, "elbow_flex": -0.5}}
-    motion = await MotionFiles(directory, ROBOT).load("wave")
+    motion = await MotionFiles(tmp_path, ROBOT).load("wave")
     assert motion.joint_names == ("shoulder_pan",)
     assert motion.positions_rad.tolist() == [[0.0], [0.1], [0.2]]
 
@@ -49,16 +44,13 @@ def test_the_planning_scene_of_an_older_version_opens(tmp_path: Path) -> None:
     assert [each["id"] for each in scene["world"]["collision_objects"]] == ["box"]
 
 
-@pytest.mark.parametrize(
-    ("settings", "name"),
-    [
+def test_an_arm_its_simulation_and_each_set_of_arms_keep_a_scene_of_their_own() -> None:
+    for settings, name in (
         ({}, "planning_scene_so101.json"),
         ({"arm": {"serial": "/dev/ttyACM0"}}, "planning_scene_real_so101.json"),
         ({"arms": {"right": {"serial": "/dev/a"}, "left": {}}}, "planning_scene_left_right_real_so101.json"),
-    ],
-)
-def test_an_arm_its_simulation_and_each_set_of_arms_keep_a_scene_of_their_own(settings: Any, name: str) -> None:
-    assert kept_scene_path(Settings.model_validate(settings), ROBOT).name == name
+    ):
+        assert kept_scene_path(Settings.model_validate(settings), ROBOT).name == name
 
 
 def test_a_new_file_is_kept_though_the_clock_that_names_it_was_set_back(tmp_path: Path) -> None:

@@ -1,3 +1,4 @@
+import functools
 import json
 from typing import Any
 
@@ -102,14 +103,11 @@ def test_message_details_have_plain_field_names(world: AskedWorld) -> None:
     assert {"std_msgs/Header", "builtin_interfaces/Time"} == {other["type"] for other in others}
 
 
-def test_action_details_tell_every_part(world: AskedWorld) -> None:
+def test_the_type_of_an_action_and_every_part_of_it_are_told(world: AskedWorld) -> None:
     for part, field in {"goal": "command", "result": "reached_goal", "feedback": "stalled"}.items():
         for dialect in DIALECTS:
             details = world.ask(f"action_{part}_details", dialect, type="control_msgs/GripperCommand")
             assert field in details["typedefs"][0]["fieldnames"], (part, dialect)
-
-
-def test_the_type_of_an_action_is_told_and_empty_when_unknown(world: AskedWorld) -> None:
     world.graph.actions.offer(ARM, "/grip", "control_msgs/GripperCommand", lambda _goal: None)
     assert world.ask("action_type", action="grip")["type"] == "control_msgs/action/GripperCommand"
     assert world.ask("action_type", "ros1", action="/grip")["type"] == "control_msgs/GripperCommand"
@@ -198,26 +196,23 @@ def test_every_response_is_complete_as_it_is(world: AskedWorld) -> None:
             assert list(response) == list(completed), service
 
 
-LOOKUPS: list[tuple[str, dict[str, str]]] = [
-    ("nodes", {}),
-    *((service, {"topic": "/joint_states"}) for service in ("topic_type", "publishers")),
-    ("topics_for_type", {"type": "std_msgs/String"}),
-    ("services_for_type", {"type": "std_srvs/Trigger"}),
-    ("service_providers", {"service": "std_srvs/Trigger"}),
-    ("node_details", {"node": "/arm"}),
-]
-
-
-@pytest.mark.parametrize(("service", "arguments"), LOOKUPS)
-def test_a_lookup_costs_the_same_however_much_others_offer(service: str, arguments: dict[str, str]) -> None:
-    costs = []
-    for others in (10, 1000):
-        world, other = AskedWorld(), Node("other", remote=True)
-        for number in range(others):
-            world.graph.advertise(other, f"/t{number}", "std_msgs/Empty")
-            world.graph.services.offer_calls(other, f"/s{number}", "std_srvs/SetBool", lambda _call: None)
-        costs.append(count_calls(lambda world=world: world.ask(service, **arguments)))
-    assert costs[0] == costs[1]
+def test_a_lookup_costs_the_same_however_much_others_offer() -> None:
+    for service, arguments in (
+        ("nodes", {}),
+        *((service, {"topic": "/joint_states"}) for service in ("topic_type", "publishers")),
+        ("topics_for_type", {"type": "std_msgs/String"}),
+        ("services_for_type", {"type": "std_srvs/Trigger"}),
+        ("service_providers", {"service": "std_srvs/Trigger"}),
+        ("node_details", {"node": "/arm"}),
+    ):
+        costs = []
+        for others in (10, 1000):
+            world, other = AskedWorld(), Node("other", remote=True)
+            for number in range(others):
+                world.graph.advertise(other, f"/t{number}", "std_msgs/Empty")
+                world.graph.services.offer_calls(other, f"/s{number}", "std_srvs/SetBool", lambda _call: None)
+            costs.append(count_calls(functools.partial(world.ask, service, **arguments)))
+        assert costs[0] == costs[1], service
 
 
 def test_a_client_that_has_shown_who_it_is_is_found_by_its_new_name(world: AskedWorld) -> None:
@@ -251,15 +246,12 @@ def test_a_parameter_is_kept_until_it_is_deleted(kept: Kept) -> None:
     assert kept.ask("search_param", name="/speed") == {"global_name": ""}
 
 
-def test_the_default_of_an_unknown_parameter_is_answered_as_json(kept: Kept) -> None:
+def test_the_default_of_an_unknown_parameter_is_answered_as_json_and_one_that_is_no_json_refused(kept: Kept) -> None:
     defaults = {"0.1": 0.1, '"text"': "text", "text": "text", "null": None, "{": "{", "[" * 200_000: "[" * 200_000}
     for default, value in defaults.items():
         answer = kept.ask("get_param", name="/nothing", default_value=default)
         assert json.loads(answer.pop("value")) == value
         assert answer == DONE
-
-
-def test_a_parameter_that_is_no_json_is_refused(kept: Kept) -> None:
     for value in ("", "{", "[" * 200_000):
         with pytest.raises(ServiceError, match="value: must be JSON text"):
             kept.ask("set_param", name="/speed", value=value)

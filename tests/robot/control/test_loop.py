@@ -146,8 +146,8 @@ def ticks_of(channel: SteppedChannel, monkeypatch: pytest.MonkeyPatch, tick_s: f
 PAN = smooth_move({"shoulder_pan": (0.0, 1.0)}, 1.5)
 
 
-@pytest.mark.parametrize(("asked_s", "first_s"), [(2.023, 2.03), (2.047, 2.047)])
-def test_a_tick_is_every_hundredth_second_or_skipped_at_rest_and_at_once_for_a_message(
+@pytest.mark.parametrize(("asked_s", "first_s"), [(2.023, 2.025), (2.027, 2.027), (2.047, 2.047)])
+def test_a_tick_is_every_hundredth_second_or_skipped_at_rest_and_half_a_period_after_the_last_or_at_once_for_a_motion(
     monkeypatch: pytest.MonkeyPatch, asked_s: float, first_s: float
 ) -> None:
     messages = (0.1, Heartbeat(observed=False)), (asked_s, Execute(1, PAN)), (4.5, Shutdown())

@@ -60,6 +60,19 @@ def test_a_skipped_tick_puts_off_the_next_and_one_that_is_needed_meanwhile_is_du
     assert pacer.latest(1) == pytest.approx((0.0,))
 
 
+@pytest.mark.parametrize(("now_s", "due_s"), [(0.011, 0.015), (0.017, 0.017), (0.023, 0.02)])
+def test_a_tick_that_is_brought_forward_is_due_at_once_but_half_a_period_after_the_last(
+    now_s: float, due_s: float
+) -> None:
+    pacer = Pacer(0.0)
+    pacer.start_tick(0.01)
+    pacer.bring_forward(now_s)
+    assert pacer.deadline_s == pytest.approx(due_s)
+    pacer.start_tick(due_s)
+    assert pacer.latest(1) == pytest.approx((0.0,), abs=1e-9)
+    assert pacer.deadline_s == pytest.approx(due_s + PERIOD_S)
+
+
 def test_percentiles_of_nothing_are_zero() -> None:
     assert pacing.percentiles([]) == (0.0, 0.0, 0.0)
     assert pacing.percentiles(range(101)) == (50.0, 99.0, 100.0)

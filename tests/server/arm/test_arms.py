@@ -59,18 +59,15 @@ def test_arms_of_different_kinds_stand_in_one_description(tmp_path: Path) -> Non
     assert [joint.name for joint in whole.movable_joints] == [name for arm in arms.values() for name in arm.joint_names]
 
 
-@pytest.mark.parametrize(
-    ("arm", "words"),
-    [
+def test_what_cannot_be_used_is_refused_with_the_name_of_the_arm() -> None:
+    for arm, words in (
         ({"role": "leader", "serial": "/dev/nothing"}, "a leader needs a calibration"),
         ({"robot": "nobody"}, "'nobody' is no folder"),
         ({"zero_offset_rad": {"knee": 0.1}}, "knee"),
         ({"emulator": {"write_log": "/nowhere/log"}}, "emulator.write_log"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_with_the_name_of_the_arm(arm: dict[str, Any], words: str) -> None:
-    with pytest.raises(ConfigurationError, match=rf"^arms.left: .*{words}"):
-        read_arms(settings(left=arm))
+    ):
+        with pytest.raises(ConfigurationError, match=rf"^arms.left: .*{words}"):
+            read_arms(settings(left=arm))
 
 
 def test_states_of_arms_are_told_once_a_period_and_silent_arms_and_bursts_hold_nobody_up() -> None:
@@ -105,25 +102,17 @@ def test_a_name_is_one_of_lerobots_and_without_one_the_calibration_in_use_is_wri
         assert calibration_file(name, description) == (lerobot / "mine.json", True)
 
 
-@pytest.mark.parametrize(
-    ("name", "robot", "words"),
-    [
-        ("", "so101", "no calibration is in use: name the one to write"),
-        *((name, "so101", "is no name") for name in ("a/b", "../mine", "mine.json", "-x", "x" * 65, "a b")),
-        ("mine", "koch_v1_1", "has dynamixel servos"),
-    ],
-)
-def test_a_name_leads_nowhere_else_and_one_is_needed(lerobot: Path, name: str, robot: str, words: str) -> None:
+def test_a_name_leads_nowhere_else_and_one_is_needed_that_lerobot_has_a_place_for(lerobot: Path) -> None:
     assert lerobot.is_dir()
-    with pytest.raises(CalibrationError, match=words):
-        calibration_file(name, Description.read(ArmSettings(robot=robot)))
-
-
-def test_an_arm_that_lerobot_does_not_know_needs_a_file() -> None:
-    description = Description.read(ArmSettings())
-    description = replace(description, hardware=replace(description.hardware, calibrations=()))
-    with pytest.raises(CalibrationError, match="lerobot has no place for this arm"):
-        calibration_file("mine", description)
+    unknown = Description.read(ArmSettings())
+    for name, description, words in (
+        ("", Description.read(ArmSettings(robot="so101")), "no calibration is in use: name the one to write"),
+        *((name, unknown, "is no name") for name in ("a/b", "../mine", "mine.json", "-x", "x" * 65, "a b")),
+        ("mine", Description.read(ArmSettings(robot="koch_v1_1")), "has dynamixel servos"),
+        ("mine", replace(unknown, hardware=replace(unknown.hardware, calibrations=())), "has no place for this arm"),
+    ):
+        with pytest.raises(CalibrationError, match=words):
+            calibration_file(name, description)
 
 
 def test_states_that_come_too_rarely_to_follow_a_hand_refuse_a_calibration() -> None:
@@ -162,7 +151,7 @@ def health(limits_rad: list[tuple[float, float]]) -> ArmHealth:
     return ArmHealth(0.0, Mode.HOLDING, "", servos, BusCounters(), times, times, True, limits_rad=np.array(limits_rad))
 
 
-def test_a_state_has_the_calibrated_ranges_and_is_published_when_it_says_something_new(heard: Heard) -> None:
+def test_a_state_is_published_when_it_says_something_new_and_a_fault_with_its_remedy(heard: Heard) -> None:
     for stamp_s in range(3):
         heard.topics.take_state(ArmState(stamp_s, Mode.HOLDING, ("a",), position_rad=np.array([stamp_s])))
     for last_stop in (3, 3, 4):
@@ -172,9 +161,6 @@ def test_a_state_has_the_calibrated_ranges_and_is_published_when_it_says_somethi
     gripper = nominal_calibration().joints[-1]
     ends = values_of(heard.states[0])["calibrated_range_rad.gripper"].split()
     assert [float(end) for end in ends] == pytest.approx([gripper.lower_rad, gripper.upper_rad], abs=1e-5)
-
-
-def test_a_fault_is_told_with_code_sentence_remedy_and_service(heard: Heard) -> None:
     heard.topics.take_state(ArmState(0.0, Mode.FAULT, ("a",), fault=STALLED))
     state = heard.states[-1]
     assert state["level"] == 2
@@ -212,22 +198,19 @@ def test_joints_are_published_with_the_time_of_their_reading_and_not_of_an_arm_t
     ]
 
 
-@pytest.mark.parametrize(
-    ("topic", "observed"),
-    [
+def test_states_are_observed_while_somebody_subscribes_to_what_follows_them() -> None:
+    for topic, observed in (
         ("/joint_states", True),
         ("/tf", True),
         ("/arm_controller/state", True),
         ("/arm_with_torso_controller/controller_state", True),
         ("/arm/state", False),
         ("/diagnostics", False),
-    ],
-)
-def test_states_are_observed_while_somebody_subscribes_to_what_follows_them(topic: str, observed: bool) -> None:
-    graph, node = Graph(REGISTRY), Node("test")
-    graph.advertise(Node("arm"), topic, "std_msgs/String")
-    assert not states_are_observed(graph)
-    graph.subscribe(node, topic, None, Subscriber(lambda _: None))
-    assert states_are_observed(graph) is observed
-    graph.remove(node)
-    assert not states_are_observed(graph)
+    ):
+        graph, node = Graph(REGISTRY), Node("test")
+        graph.advertise(Node("arm"), topic, "std_msgs/String")
+        assert not states_are_observed(graph), topic
+        graph.subscribe(node, topic, None, Subscriber(lambda _: None))
+        assert states_are_observed(graph) is observed
+        graph.remove(node)
+        assert not states_are_observed(graph), topic

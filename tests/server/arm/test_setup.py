@@ -24,17 +24,14 @@ from tests.helpers.robots import nominal_calibration, so101
 PHYSICS = SimulationSettings(kind="physics")
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
+def test_a_parameter_the_robot_does_not_have_is_named() -> None:
+    for name, value, words in (
         ("group_name", "leg", "'leg'.*arm, gripper"),
         ("end_effector_link", "toe", "'toe'.*gripper_frame_link"),
         ("planning_frame", "world", "'base_link'.*'world'"),
-    ],
-)
-def test_a_parameter_the_robot_does_not_have_is_named(name: str, value: str, words: str) -> None:
-    with pytest.raises(ConfigurationError, match=rf"moveit\.{name}.*{words}"):
-        check_parameters(MoveItParameters.model_validate({name: value}), so101())
+    ):
+        with pytest.raises(ConfigurationError, match=rf"moveit\.{name}.*{words}"):
+            check_parameters(MoveItParameters.model_validate({name: value}), so101())
 
 
 def described(folder: Path, urdf: str, srdf: str) -> dict[str, Path]:
@@ -192,21 +189,17 @@ def test_simulated_joints_start_with_torque_if_the_arm_is_to_hold(ideal: dict[st
         assert hardware.driven is enabled
 
 
-@pytest.mark.parametrize(
-    ("name", "place", "words"),
-    [
+def test_an_unusable_place_is_named_with_its_setting(tmp_path: Path) -> None:
+    for name, place, words in (
         ("write_log", ".", r"write_log: .* is a directory"),
         ("write_log", "none/log", r"write_log: .*none is no directory"),
         ("control", "none/socket", r"control: .*none is no directory"),
         ("control", "taken", r"control: .*taken exists, and is no socket"),
         ("control", "a" * 107, r"control: the path of a Unix socket has at most 107 bytes, not"),
-    ],
-    ids=["a directory", "a log in no directory", "a socket in no directory", "a file", "a long name"],
-)
-def test_an_unusable_place_is_named_with_its_setting(tmp_path: Path, name: str, place: str, words: str) -> None:
-    (tmp_path / "taken").touch()
-    with pytest.raises(ConfigurationError, match=rf"emulator\.{words}"):
-        hardware_of(emulator=EmulatorSettings(**{name: tmp_path / place}))
+    ):
+        (tmp_path / "taken").touch()
+        with pytest.raises(ConfigurationError, match=rf"emulator\.{words}"):
+            hardware_of(emulator=EmulatorSettings(**{name: tmp_path / place}))
 
 
 def test_a_socket_that_a_server_has_left_is_no_hindrance(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

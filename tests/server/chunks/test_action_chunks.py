@@ -307,9 +307,7 @@ async def test_a_stop_at_any_moment_ends_the_chunks_until_they_pause(policy: Pol
     assert "the arm was stopped: publish nothing on" in policy.refusals[-1]
 
 
-async def test_a_stop_ends_also_a_policy_that_sends_a_chunk_every_two_seconds_and_holds_the_gripper(
-    policy: Policy,
-) -> None:
+async def test_a_stop_ends_also_a_policy_with_a_chunk_every_two_seconds_and_holds_the_gripper(policy: Policy) -> None:
     def moved(rad: float, count: int) -> dict[str, Any]:
         """Return a chunk that moves each joint of arm and gripper so far from where it is."""
         here_rad = policy.goals_rad[-1][[*COLUMNS, GRIPPER]]
@@ -432,9 +430,7 @@ async def test_a_leader_takes_over_and_gives_back(policy: Policy) -> None:
 
 @pytest.mark.parametrize("after_s", np.arange(0.0, 0.2, 0.067).tolist())
 @pytest.mark.parametrize("service", [PAUSE, STOP])
-async def test_a_pause_or_a_stop_of_the_policy_brakes_softly_at_any_moment(
-    policy: Policy, service: str, after_s: float
-) -> None:
+async def test_a_pause_or_a_stop_brakes_softly_at_any_moment(policy: Policy, service: str, after_s: float) -> None:
     streaming = asyncio.create_task(policy.stream(2.0))
     await asyncio.sleep(0.5 + after_s)
     policy.stage.call(service)
@@ -453,9 +449,7 @@ async def test_a_pause_or_a_stop_of_the_policy_brakes_softly_at_any_moment(
 
 
 @pytest.mark.parametrize(("streams_s", "velocity"), [(0.0, 0.5), (0.6, 0.0)])
-async def test_a_stick_without_a_policy_and_a_stick_at_rest_take_nothing_over(
-    policy: Policy, streams_s: float, velocity: float
-) -> None:
+async def test_a_stick_at_rest_or_alone_takes_nothing_over(policy: Policy, streams_s: float, velocity: float) -> None:
     await policy.stream(streams_s)
     await policy.jog(velocity, 0.3)
     await asyncio.sleep(0.5)
@@ -474,9 +468,7 @@ async def test_a_chunk_of_an_observation_from_before_the_resumption_is_refused(p
     assert policy.phase == PolicyPhase.FOLLOWING
 
 
-async def test_a_wall_clock_set_back_after_the_resumption_refuses_no_chunk(
-    policy: Policy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_wall_clock_that_is_set_back_refuses_no_chunk(policy: Policy, monkeypatch: pytest.MonkeyPatch) -> None:
     await asyncio.sleep(0.1)
     policy.stage.call(RESUME)
     loop = asyncio.get_running_loop()

@@ -96,9 +96,7 @@ async def play(policy: Policy, rng: np.random.Generator, period_s: float, target
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("noise_rad", [0.0, NOISE_RAD])
-async def test_a_policy_of_1_rad_s_is_followed_with_20_ms_of_lag_within_the_jerk(
-    policy: Policy, seed: int, noise_rad: float
-) -> None:
+async def test_a_policy_of_1_rad_s_is_followed_with_20_ms_of_lag(policy: Policy, seed: int, noise_rad: float) -> None:
     rng = np.random.default_rng(seed)
     swing_rad = rng.uniform(0.2, 0.6, len(ARM_JOINTS)) * rng.choice([-1.0, 1.0], len(ARM_JOINTS))
 

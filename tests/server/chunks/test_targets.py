@@ -101,24 +101,21 @@ def shifted(by_rad: float, by_s: float) -> Targets:
 NOW_S = BEGINS_S + 0.8
 
 
-@pytest.mark.parametrize(
-    ("blend", "weight", "at_s", "share"),
-    [
+def test_overlapping_chunks_are_joined_by_their_blend() -> None:
+    for blend, weight, at_s, share in (
         (Blend.REPLACE, 0.0, NOW_S + 0.1, 1.0),
         (Blend.ENSEMBLE, 0.25, NOW_S + 0.1, 0.25),
         (Blend.REAL_TIME, 0.0, NOW_S + 0.001, 0.0),
         (Blend.REAL_TIME, 0.0, wave().end_s - 0.001, 1.0),
         (Blend.ENSEMBLE, 0.25, wave().end_s + 0.1, 1.0),
-    ],
-)
-def test_overlapping_chunks_are_joined_by_their_blend(blend: Blend, weight: float, at_s: float, share: float) -> None:
-    former, new = wave(), shifted(0.1, 0.5)
-    joined = blended(former, new, blend, weight, NOW_S)
-    moment = np.array([at_s])
-    wanted = share * new.at(moment) + (1.0 - share) * former.at(moment)
-    np.testing.assert_allclose(joined.at(moment), wanted, atol=0.004)
-    # What was before now stays, so that averages have it.
-    np.testing.assert_allclose(joined.at(np.array([BEGINS_S + 0.3])), former.at(np.array([BEGINS_S + 0.3])))
+    ):
+        former, new = wave(), shifted(0.1, 0.5)
+        joined = blended(former, new, blend, weight, NOW_S)
+        moment = np.array([at_s])
+        wanted = share * new.at(moment) + (1.0 - share) * former.at(moment)
+        np.testing.assert_allclose(joined.at(moment), wanted, atol=0.004)
+        # What was before now stays, so that averages have it.
+        np.testing.assert_allclose(joined.at(np.array([BEGINS_S + 0.3])), former.at(np.array([BEGINS_S + 0.3])))
 
 
 def test_weights_of_real_time_chunking_fall_from_the_former_chunk_to_the_new_one() -> None:
@@ -130,14 +127,11 @@ def test_weights_of_real_time_chunking_fall_from_the_former_chunk_to_the_new_one
     assert above[-1] > 0.09
 
 
-def test_targets_of_an_hour_ago_are_not_kept() -> None:
+def test_targets_of_an_hour_ago_are_not_kept_and_chunks_that_do_not_meet_not_blended() -> None:
     joined = wave()
     for number in range(100):
         joined = blended(joined, shifted(0.0, number / 3.0), Blend.REPLACE, 1.0, BEGINS_S + number / 3.0)
     assert len(joined.time_s) < 3 * len(wave().time_s)
-
-
-def test_chunks_that_do_not_meet_are_not_blended() -> None:
     new = shifted(0.0, 5.0)
     assert blended(wave(), new, Blend.ENSEMBLE, 0.5, NOW_S) is new
 

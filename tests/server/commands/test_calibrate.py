@@ -145,9 +145,7 @@ def test_offsets_that_another_program_has_written_are_written_back_after_a_yes(a
 @pytest.mark.parametrize(
     ("number", "step"), [*((signal.SIGINT, step) for step in range(2, 8)), (signal.SIGTERM, 5), (signal.SIGHUP, 5)]
 )
-def test_a_signal_between_two_writes_leaves_a_servo_locked_with_all_of_its_values_or_none(
-    armbridge, bus, tmp_path, monkeypatch, number, step
-):
+def test_a_signal_between_two_writes_leaves_all_values_or_none(armbridge, bus, tmp_path, monkeypatch, number, step):
     save(nominal_calibration(), tmp_path / "arm.json")
     calibrated = held(bus, ELBOW)
     for register, shifted in ((Register.HOMING_OFFSET, 200), (Register.MIN_ANGLE_LIMIT, 900)):

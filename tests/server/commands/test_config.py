@@ -65,9 +65,8 @@ def options(*arguments):
     return cli._parser().parse_args(["serve", *arguments])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "settings"),
-    [
+def test_options_override_settings():
+    for arguments, settings in (
         (
             ("--port", "0", "--serial", "auto", "--log-level", "error"),
             {"server": {"port": "0", "log_level": "error"}, "arm": {"serial": "auto"}},
@@ -77,10 +76,8 @@ def options(*arguments):
         # An option counts more than an assignment, which may be a table as TOML has it.
         (("--set", "server.port=1", "--port", "2"), {"server": {"port": "2"}}),
         (("--set", "arm.zero_offset_rad={elbow_flex=0.02}"), {"arm": {"zero_offset_rad": {"elbow_flex": 0.02}}}),
-    ],
-)
-def test_options_override_settings(arguments, settings):
-    assert overrides(options(*arguments)) == settings
+    ):
+        assert overrides(options(*arguments)) == settings
 
 
 def test_settings_have_what_the_options_say_and_know_it_from_the_command_line():
@@ -112,21 +109,18 @@ def test_a_new_setting_is_explained_everywhere_by_its_one_line(monkeypatch, caps
     assert "--retry S Time between two attempts; leave it out for no attempt. (s, 1 to 5) Default: 2.0." in shown
 
 
-@pytest.mark.parametrize(
-    ("command", "option", "value", "words"),
-    [
+def test_an_option_out_of_range_is_refused_with_the_range(capsys):
+    for command, option, value, words in (
         ("camera test", "--connect", "http://x", "must begin with ws:// or wss://, not 'http://x'"),
         ("camera test", "--fps", "0", "must be a whole number from 1 to 60, not '0'"),
         ("camera test", "--width", "9", "must be a whole number from 16 to 4096, not '9'"),
         ("camera test", "--quality", "96", "must be a whole number from 1 to 95, not '96'"),
         ("replay run.mcap", "--rate", "fast", "must be 0.01 to 100, not 'fast'"),
         ("replay run.mcap", "--delay", "-1", "must be 0 to 3600, not '-1'"),
-    ],
-)
-def test_an_option_out_of_range_is_refused_with_the_range(command, option, value, words, capsys):
-    with pytest.raises(SystemExit, match=str(int(ExitCode.USAGE))):
-        cli.main([*command.split(), option, value])
-    assert f"argument {option}: {words}" in capsys.readouterr().err
+    ):
+        with pytest.raises(SystemExit, match=str(int(ExitCode.USAGE))):
+            cli.main([*command.split(), option, value])
+        assert f"argument {option}: {words}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -139,18 +133,15 @@ def test_a_refusal_does_not_show_what_may_be_a_token(assignment):
     assert "my-secret" not in str(refused.value)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
+def test_a_wrong_assignment_is_refused():
+    for arguments, words in (
         (("--set", "server.port"), "--set server.port: must be KEY=VALUE"),
         (("--set", "arm.zero_offset_rad={a"), "the value is not TOML"),
         (("--set", "server=1", "--set", "server.port=2"), "--set server.port: server has a value already"),
         (("--set", "server=1", "--port", "2"), "--set server.port: server has a value already"),
-    ],
-)
-def test_a_wrong_assignment_is_refused(arguments, words):
-    with pytest.raises(ConfigurationError, match=words):
-        overrides(options(*arguments))
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            overrides(options(*arguments))
 
 
 def options_of(parser: argparse.ArgumentParser, command: str = "armbridge") -> Iterator[tuple[str, argparse.Action]]:
@@ -178,16 +169,10 @@ def test_the_default_at_the_end_of_an_option_s_help_is_its_default():
     assert wrong == {}
 
 
-@pytest.fixture
-def file(tmp_path, monkeypatch):
-    """Settings from all four sources."""
-    path = tmp_path / "armbridge.toml"
-    path.write_text('[server]\nport = 1\nhost = "::1"\n[goals]\ncapacity = 3\n')
+def test_every_value_is_told_with_its_source_as_json_and_in_a_table(tmp_path, monkeypatch, capsys):
+    file = tmp_path / "armbridge.toml"
+    file.write_text('[server]\nport = 1\nhost = "::1"\n[goals]\ncapacity = 3\n')
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
-    return path
-
-
-def test_every_value_is_told_with_its_source_as_json_and_in_a_table(file, capsys):
     assert cli.main(["config", "--json", "--config", str(file), "--set", "goals.capacity=4"]) == ExitCode.DONE
     told = json.loads(capsys.readouterr().out)
     assert told["server.host"] == {"value": "::1", "source": "file"}
@@ -230,15 +215,12 @@ def test_the_unit_runs_this_installation(capsys: pytest.CaptureFixture[str]) -> 
     assert (service["Type"], service["DynamicUser"], service["SupplementaryGroups"]) == ("notify", "yes", "dialout")
 
 
-def test_a_unit_has_the_user_and_group_that_are_given_and_quotes_what_systemd_would_read_otherwise() -> None:
+def test_a_unit_has_user_group_and_quotes_and_without_a_script_the_interpreter_runs_the_server(tmp_path: Path) -> None:
     text = unit(["/opt/my arm/bin/armbridge"], Path('/etc/100% "$HOME".toml'), "lab", "uucp")
     service = section(text, "Service")
     assert (service["User"], service["SupplementaryGroups"]) == ("lab", "uucp")
     assert "DynamicUser" not in service
     assert service["ExecStart"] == '"/opt/my arm/bin/armbridge" serve --config "/etc/100%% \\"$$HOME\\".toml"'
-
-
-def test_without_a_script_the_interpreter_runs_the_server(tmp_path: Path) -> None:
     python = tmp_path / "python"
     assert server_command(python) == [str(python), "-P", "-m", "server.cli"]
     (tmp_path / "armbridge").touch()
@@ -282,10 +264,14 @@ def test_certificate_and_token_are_made_once_and_kept_for_their_owner_who_is_tol
     assert [file.read_bytes() for file in files] == kept
 
 
-def test_a_wrong_name_is_one_sentence(folder, capsys):
+def test_a_wrong_name_and_a_token_that_cannot_be_kept_are_one_sentence(folder, capsys):
     assert cli.main(["certificate", "--name", "a b"]) == ExitCode.FAILED
     assert capsys.readouterr().err == "armbridge: --name: 'a b' is neither a host name nor an IP address\n"
     assert not folder.exists()
+    folder.mkdir(parents=True)
+    (folder / "none").touch()
+    with pytest.raises(ConfigurationError, match=r"tokens\.toml: the token cannot be kept there"):
+        ensure_token(folder / "none")
 
 
 def test_of_two_commands_at_a_time_one_makes_the_token(folder, monkeypatch):
@@ -297,13 +283,6 @@ def test_of_two_commands_at_a_time_one_makes_the_token(folder, monkeypatch):
     folder.mkdir(parents=True)
     monkeypatch.setattr(certificate, "replace", replace_locked)
     assert [bool(ensure_token(folder)[1]) for _ in range(2)] == [True, False]
-
-
-def test_a_token_that_cannot_be_kept_is_one_sentence(folder):
-    folder.mkdir(parents=True)
-    (folder / "none").touch()
-    with pytest.raises(ConfigurationError, match=r"tokens\.toml: the token cannot be kept there"):
-        ensure_token(folder / "none")
 
 
 def test_the_page_about_phones_shows_the_command_that_is_printed(folder, capsys):

@@ -20,7 +20,7 @@ from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
 from tests.server.recordings import record, text
 
 
-def test_plan_answers_a_file_with_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_answers_by_a_table_and_bad_input_by_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     problem = {"id": "a", "start": [0.0] * 5, "goal": [0.1] * 5}
     joints = ["shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll"]
     fields = {"format": "so101-plan-bench/1", "name": "n", "joint_names": joints, "joint_problems": [problem]}
@@ -28,20 +28,14 @@ def test_plan_answers_a_file_with_a_table(tmp_path: Path, capsys: pytest.Capture
     path.write_text(json.dumps(fields))
     assert cli.main(["plan", str(path), "--seed", "3"]) == 0
     assert "SUCCESS" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
+    for options, words in (
         (["--urdf", "a.urdf"], "--urdf and --srdf must be given together"),
         (["--urdf", "/nowhere.urdf", "--srdf", "/nowhere.srdf"], "cannot be read"),
         ([], "/nowhere.json: cannot be read"),
-    ],
-)
-def test_bad_input_of_plan_is_one_line(options: list[str], words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["plan", "/nowhere.json", *options]) == 2
-    (said,) = capsys.readouterr().err.splitlines()
-    assert words in said
+    ):
+        assert cli.main(["plan", "/nowhere.json", *options]) == 2
+        (said,) = capsys.readouterr().err.splitlines()
+        assert words in said
 
 
 def test_built_in_arms_are_listed_and_shown_with_joints_and_servos(capsys: pytest.CaptureFixture[str]) -> None:
@@ -72,9 +66,7 @@ def test_everything_that_is_wrong_with_a_folder_is_printed(tmp_path: Path, capsy
     assert "boom.stl" in capsys.readouterr().out
 
 
-def test_an_import_says_what_it_made_and_how_to_serve_it_also_of_packages_elsewhere(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_import_says_what_it_made_and_how_to_serve_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     urdf = write_package(tmp_path).rename(tmp_path / "arm.urdf")
     (tmp_path / "packages").mkdir()
     (tmp_path / "mesh_arm").rename(tmp_path / "packages" / "mesh_arm")
@@ -89,25 +81,27 @@ def test_an_import_says_what_it_made_and_how_to_serve_it_also_of_packages_elsewh
     assert robot_folder.load(out).model.default_group == "arm"
 
 
-def test_an_import_that_cannot_be_done_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_a_command_cannot_do_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["robot", "import", str(tmp_path / "no.urdf")]) == ExitCode.FAILED
     assert capsys.readouterr().err.startswith(f"armbridge: {tmp_path / 'no.urdf'} cannot be read: ")
+    (tmp_path / "notes.txt").write_text("no recording")
+    assert cli.main(["replay", str(tmp_path / "notes.txt"), "--port", "0"]) == ExitCode.FAILED
+    assert capsys.readouterr().err == f"armbridge: recording {tmp_path / 'notes.txt'}: is not an MCAP file\n"
+    assert cli.main(["emulate", "--start=0,0"]) == ExitCode.FAILED
+    assert "armbridge: the start pose needs 6 positions, not 2" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
+def test_a_wrong_setting_is_one_line_and_exit_2(capsys):
+    for arguments, words in (
         (["--calibration", "nobodys"], "nobodys"),
         (["--port", "70000"], "server.port"),
         (["--urdf", "a.urdf"], "urdf and srdf must be given together"),
         (["--urdf", "/nowhere.urdf", "--srdf", "/nowhere.srdf"], "/nowhere.urdf cannot be read"),
         (["--config", "/nowhere.toml"], "/nowhere.toml cannot be read"),
-    ],
-)
-def test_a_wrong_setting_is_one_line_and_exit_2(arguments, words, capsys):
-    assert cli.main(["serve", *arguments]) == ExitCode.USAGE
-    (line,) = capsys.readouterr().err.splitlines()
-    assert words in line
+    ):
+        assert cli.main(["serve", *arguments]) == ExitCode.USAGE
+        (line,) = capsys.readouterr().err.splitlines()
+        assert words in line
 
 
 # tests/robot/description has all that is refused.
@@ -162,12 +156,6 @@ def test_bad_interface_files_are_one_report(command: str, tmp_path: Path, capsys
     ]
 
 
-def test_a_file_that_is_no_recording_is_one_line_and_exit_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "notes.txt").write_text("no recording")
-    assert cli.main(["replay", str(tmp_path / "notes.txt"), "--port", "0"]) == ExitCode.FAILED
-    assert capsys.readouterr().err == f"armbridge: recording {tmp_path / 'notes.txt'}: is not an MCAP file\n"
-
-
 def test_a_replay_has_the_settings_of_a_file_and_needs_a_token(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,11 +170,6 @@ def test_a_replay_has_the_settings_of_a_file_and_needs_a_token(
     assert cli.main(arguments) == ExitCode.DONE
 
 
-def test_a_start_that_cannot_be_is_told_in_a_sentence(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["emulate", "--start=0,0"]) == ExitCode.FAILED
-    assert "armbridge: the start pose needs 6 positions, not 2" in capsys.readouterr().err
-
-
 @pytest.fixture
 def typed():
     """A terminal, and a function that types into it."""
@@ -196,13 +179,18 @@ def typed():
         os.close(descriptor)
 
 
-def test_only_yes_is_yes_and_each_question_takes_one_line_of_many(typed, capsys):
+def test_only_yes_is_yes_each_question_takes_one_line_and_looking_for_one_does_not_wait(typed, capsys):
     terminal, write = typed
     write("y\nYES\n\nyellow\n\n")
     assert [terminal.confirm("Go on?") for _ in range(4)] == [True, True, False, False]
     assert capsys.readouterr().err == "Go on? [y/N]\n" * 4
     assert terminal.line_typed() == ""
     assert terminal.line_typed() is None
+    assert terminal.line_typed() is None
+    write("half a line")
+    assert terminal.line_typed() is None
+    write("\n")
+    assert terminal.line_typed() == "half a line"
 
 
 def test_keys_pressed_before_a_question_do_not_answer_it():
@@ -225,21 +213,12 @@ def test_keys_pressed_before_a_question_do_not_answer_it():
         os.close(each)
 
 
-def test_looking_for_a_line_does_not_wait_for_its_enter(typed):
-    terminal, write = typed
-    assert terminal.line_typed() is None
-    write("half a line")
-    assert terminal.line_typed() is None
-    write("\n")
-    assert terminal.line_typed() == "half a line"
-
-
 def test_an_input_that_ends_answers_nothing():
     with Path("/dev/null").open() as empty, pytest.raises(AnswerMissing):
         Terminal(empty.fileno()).await_enter("Hold the arm")
 
 
-def test_a_live_table_replaces_the_last_one_and_is_for_terminals_only(capsys, monkeypatch):
+def test_a_live_table_replaces_the_last_one_and_columns_are_as_wide_as_their_widest_entry(capsys, monkeypatch):
     terminal = Terminal()
     terminal.show_live("1\n2")
     assert capsys.readouterr().err == ""
@@ -247,21 +226,15 @@ def test_a_live_table_replaces_the_last_one_and_is_for_terminals_only(capsys, mo
     terminal.show_live("1\n2")
     terminal.show_live("3\n4")
     assert capsys.readouterr().err == "1\n2\n\x1b[2A\x1b[J3\n4\n"
-
-
-def test_columns_are_as_wide_as_their_widest_entry():
     assert table(("id", "joint"), [(1, "pan"), (100, "x")]) == "id   joint\n1    pan\n100  x"
 
 
-@pytest.mark.parametrize(
-    ("typed", "answers", "answer"),
-    [
+def test_enter_is_the_first_answer_but_answers_no_question_about_yes_or_no():
+    for typed, answers, answer in (
         ("", ("done", "skip", "skip all"), "done"),
         (" Skip ", ("done", "skip", "skip all"), "skip"),
         ("y", ("yes", "no"), "yes"),
         ("", ("yes", "no"), ""),
         ("s", ("done", "skip", "skip all"), "s"),
-    ],
-)
-def test_enter_is_the_first_answer_but_answers_no_question_about_yes_or_no(typed, answers, answer):
-    assert chosen(typed, answers) == answer
+    ):
+        assert chosen(typed, answers) == answer

@@ -349,17 +349,14 @@ def test_a_servo_of_an_unknown_model_needs_a_word_that_it_is_fine(run_setup, kit
     assert run_setup("--joint", "gripper", "--yes", "--any-model", plug=plug)[0] == ExitCode.DONE
 
 
-@pytest.mark.parametrize(
-    ("options", "code", "words"),
-    [
+def test_an_arm_that_cannot_be_set_up_is_left_alone(run_setup, kit):
+    for options, code, words in (
         (("--registers", "--yes"), ExitCode.FAILED, "several servos with the id 1"),
         (("--robot", "koch_v1_1"), ExitCode.USAGE, "this command needs Feetech servos"),
         (("--joint", "elbow"), ExitCode.USAGE, "elbow_flex"),
-    ],
-)
-def test_an_arm_that_cannot_be_set_up_is_left_alone(run_setup, kit, options, code, words):
-    kit.plug(4, 5)
-    before = [kit.held(place) for place in range(6)]
-    done, person = run_setup(*options)
-    assert (done, [kit.held(place) for place in range(6)]) == (code, before)
-    assert words in person.said
+    ):
+        kit.plug(4, 5)
+        before = [kit.held(place) for place in range(6)]
+        done, person = run_setup(*options)
+        assert (done, [kit.held(place) for place in range(6)]) == (code, before)
+        assert words in person.said

@@ -87,7 +87,7 @@ def test_only_the_newest_image_is_kept_and_given_once() -> None:
     wait_until(lambda: source.closed)
 
 
-def test_the_end_of_a_file_is_told_after_its_last_image() -> None:
+def test_a_source_is_read_to_its_end_or_without_a_pace_once_a_period() -> None:
     source, ended_at = Scripted(count=2), []
     images = NewestImage(source, 0.0, lambda: ended_at.append(images.ended))
     images.start()
@@ -95,9 +95,6 @@ def test_the_end_of_a_file_is_told_after_its_last_image() -> None:
     wait_until(lambda: images.ended and len(ended_at) == 3)
     assert (ended_at, source.closed) == ([False, False, True], True)
     images.close()
-
-
-def test_a_source_without_a_pace_is_read_once_a_period() -> None:
     source = Scripted(paced=False)
     source.allowed.release(1000)
     images = NewestImage(source, 1e6, lambda: None)

@@ -339,9 +339,7 @@ def test_what_makes_no_dataset_is_refused_and_nothing_is_left_behind(
 
 
 @pytest.mark.parametrize("missing", ["pyarrow", "av"])
-def test_a_missing_extra_is_named(
-    missing: str, recorded: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_extras_are_named(missing: str, recorded: Record, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     find = export_module.find_spec
     monkeypatch.setattr(export_module, "find_spec", lambda name: None if name == missing else find(name))
     with pytest.raises(ExportError, match=rf"{missing}: pip install 'armbridge\[datasets\]'"):
@@ -409,9 +407,7 @@ def raw_image(at_s: float, encoding: str, pixel: list[int], topic: str = "/wrist
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))
 @pytest.mark.parametrize(("encoding", "pixel"), [("rgb8", [200, 40, 90]), ("bgra8", [90, 40, 200, 7])])
-def test_a_bag_of_ros_2_with_raw_images_is_exported(
-    tmp_path: Path, storage: StoragePlugin, encoding: str, pixel: list[int]
-) -> None:
+def test_raw_images_are_exported(tmp_path: Path, storage: StoragePlugin, encoding: str, pixel: list[int]) -> None:
     pictures = [raw_image(n / 10, encoding, pixel) for n in range(21)]
     same = [image(n / 10, 9, topic="/side/image_raw/compressed") for n in range(21)]
     twin = [raw_image(n / 10, "rgb8", [0, 0, 0], topic="/side/image_raw") for n in range(21)]

@@ -179,9 +179,8 @@ async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorde
     assert subscribed() == []
 
 
-@pytest.mark.parametrize(
-    ("marks", "episodes"),
-    [
+def test_marks_make_episodes() -> None:
+    for marks, episodes in (
         ([], [Episode(0.0, 9.0, "")]),
         (
             [(1.0, "start pick the cube"), (3.0, "stop"), (4.0, "start"), (6.0, "stop")],
@@ -191,27 +190,22 @@ async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorde
         # A discard between episodes drops the last one.
         ([(1.0, "start"), (2.0, "stop"), (3.0, "start"), (4.0, "stop"), (5.0, "discard")], [Episode(1.0, 2.0, "")]),
         ([(1.0, "start"), (2.0, "discard")], []),
-    ],
-)
-def test_marks_make_episodes(marks: list[tuple[float, str]], episodes: list[Episode]) -> None:
-    assert episodes_of(marks, 0.0, 9.0) == (episodes, [])
+    ):
+        assert episodes_of(marks, 0.0, 9.0) == (episodes, [])
 
 
-@pytest.mark.parametrize(
-    ("texts", "count", "sentence"),
-    [
+def test_a_mark_that_does_not_fit_is_said() -> None:
+    for texts, count, sentence in (
         (["start"], 1, "was not stopped, and ends with the file"),
         (["start", "start", "stop"], 2, "within another"),
         (["stop"], 0, "has no start"),
         (["discard"], 0, "has no episode"),
         (["go"], 0, "data: must be 'start', 'start TASK', 'stop' or 'discard', not 'go'"),
         (["start " + "x" * 301], 0, "task: must have at most 300 characters, not 301"),
-    ],
-)
-def test_a_mark_that_does_not_fit_is_said(texts: list[str], count: int, sentence: str) -> None:
-    episodes, (note,) = episodes_of(list(enumerate(texts, start=1)), 0.0, 9.0)
-    assert len(episodes) == count
-    assert sentence in note
+    ):
+        episodes, (note,) = episodes_of(list(enumerate(texts, start=1)), 0.0, 9.0)
+        assert len(episodes) == count
+        assert sentence in note
 
 
 def test_a_task_is_one_line() -> None:
@@ -260,13 +254,10 @@ def test_an_episode_with_something_missing_is_left_out_with_the_place(changes: d
     assert str(left_out.value) == sentence
 
 
-def test_an_episode_of_one_frame_is_left_out_and_one_beside_a_gap_is_not() -> None:
+def test_an_episode_begins_where_everything_has_begun_and_of_one_frame_is_left_out() -> None:
     with pytest.raises(LeftOutError, match="it has 1 frames at 10 a second, and needs 2"):
         frames_of(Episode(1.0, 1.15, ""), TRACKS, 10)
     assert frames_of(Episode(2.0, 3.0, ""), replace(TRACKS, **LEFT_OUT[0][0]), 10).count == 10
-
-
-def test_an_episode_begins_where_everything_has_begun_also_after_a_silence_before_it() -> None:
     frames = frames_of(EPISODE, replace(TRACKS, image_times_s={"c": np.arange(1.3, 2.0, 0.1)}), 10)
     assert frames.start_s == pytest.approx(1.3)
     spoken_s = TIMES_S[(TIMES_S < 0.2) | (TIMES_S > 1.11)]

@@ -356,7 +356,7 @@ async def test_the_policy_says_what_becomes_of_the_arm(policy: str, *, parks: bo
     assert leaving.done == done
 
 
-async def test_an_arm_that_a_viewer_stops_on_its_way_to_the_rest_pose_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_arm_that_a_viewer_stops_before_or_on_its_way_to_rest_holds(monkeypatch: pytest.MonkeyPatch) -> None:
     leaving, parked = Leaving(), asyncio.get_running_loop().create_future()
     monkeypatch.setattr(leaving, "park", lambda _source: parked)
     running = asyncio.create_task(leaving.last.run())
@@ -367,9 +367,6 @@ async def test_an_arm_that_a_viewer_stops_on_its_way_to_the_rest_pose_holds(monk
     running.cancel()
     await asyncio.wait([running])
     assert leaving.done == []
-
-
-async def test_an_arm_that_a_viewer_stops_after_the_last_client_has_left_is_not_parked() -> None:
     leaving = Leaving()
     leaving.come_and_go()
     leaving.last_stop = STOP_EPOCHS.begin()

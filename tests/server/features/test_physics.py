@@ -286,9 +286,12 @@ FIXED = "'wall' stays where it is: move it in the planning scene, or make it mov
 MASS = "mass must be 0 to 100 kg, 0 for a mass by its volume, not"
 
 
-@pytest.mark.parametrize(
-    ("service", "asked", "said"),
-    [
+async def test_what_no_body_can_have_is_refused(stage: Stage) -> None:
+    stage.apply({"id": "floor", "planes": [{"coef": [0.0, 0.0, 1.0, 0.05]}], "plane_poses": [pose()]})
+    assert stage.arm.bodies["floor"].shapes[0].position_m == (0.0, 0.0, -0.05)
+    stage.call("/simulation/set_body", id="cube", movable=True)
+    sent = len(stage.arm.sent)
+    for service, asked, said in (
         ("set_pose", {"id": "ball", "pose": pose()}, "the physics has no object 'ball'"),
         ("set_pose", {"id": "wall", "pose": pose()}, FIXED),
         ("set_pose", {"id": "cube", "pose": pose(math.nan)}, "pose.position.x must be a finite number, not nan"),
@@ -298,16 +301,10 @@ MASS = "mass must be 0 to 100 kg, 0 for a mass by its volume, not"
         ("set_body", {"id": "wall", "mass": math.nan}, f"{MASS} nan"),
         ("set_body", {"id": "wall", "friction": 11.0}, "friction must be 0 to 10, 0 for 1, not 11"),
         ("set_body", {"id": "floor"}, "'floor' has a plane, and cannot be movable"),
-    ],
-)
-async def test_what_no_body_can_have_is_refused(stage: Stage, service: str, asked: dict[str, Any], said: str) -> None:
-    stage.apply({"id": "floor", "planes": [{"coef": [0.0, 0.0, 1.0, 0.05]}], "plane_poses": [pose()]})
-    assert stage.arm.bodies["floor"].shapes[0].position_m == (0.0, 0.0, -0.05)
-    stage.call("/simulation/set_body", id="cube", movable=True)
-    sent = len(stage.arm.sent)
-    movable = {"movable": True} if service == "set_body" else {}
-    assert stage.call(f"/simulation/{service}", **asked, **movable) == (False, said)
-    assert len(stage.arm.sent) == sent
+    ):
+        movable = {"movable": True} if service == "set_body" else {}
+        assert stage.call(f"/simulation/{service}", **asked, **movable) == (False, said)
+        assert len(stage.arm.sent) == sent, said
 
 
 async def test_more_objects_than_physics_has_are_left_out(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
@@ -340,22 +337,18 @@ async def test_a_reset_brings_back_the_world_that_was_loaded() -> None:
 LEFT, PLANE = box("left", at=pose(0.3, 0.3, 0.05)), {"coef": [0.0, 0.0, 1.0, 0.05]}
 
 
-@pytest.mark.parametrize(
-    ("objects", "sentence"),
-    [
+async def test_a_world_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    for objects, sentence in (
         ([LEFT, box("right", at=pose(0.3, 0.32, 0.05))], "'left' overlaps 'right' by 30 mm, more than 2 mm"),
         ([box("left", at=pose(math.nan))], "the object 'left': .*pose.position.x must be a finite number"),
         ([box(str(at)) for at in range(MAX_BODIES + 1)], "it has 101 objects, more than 100"),
         ([{"id": "left", "planes": [PLANE], "plane_poses": [pose()]}], "'left' has a plane, and cannot be movable"),
-    ],
-    ids=["overlap", "not finite", "too many", "plane"],
-)
-async def test_a_world_that_cannot_be_is_refused(objects: list[dict[str, Any]], sentence: str, tmp_path: Path) -> None:
-    path = tmp_path / "world.json"
-    bodies = [{"id": each["id"], "movable": True} for each in objects]
-    path.write_text(json.dumps({"world": {"collision_objects": objects}, "bodies": bodies}))
-    with pytest.raises(ConfigurationError, match=rf"simulation\.world: .*{sentence}"):
-        Stage(world=str(path))
+    ):
+        path = tmp_path / "world.json"
+        bodies = [{"id": each["id"], "movable": True} for each in objects]
+        path.write_text(json.dumps({"world": {"collision_objects": objects}, "bodies": bodies}))
+        with pytest.raises(ConfigurationError, match=rf"simulation\.world: .*{sentence}"):
+            Stage(world=str(path))
 
 
 def two_arms(roll_rad: float = 0.0) -> Stage:
@@ -395,12 +388,9 @@ async def test_an_object_moves_in_the_world_of_the_arm_that_it_is_attached_to_fr
     assert two.seen()[0] == (0.0, -0.1, 0.08)
 
 
-async def test_a_client_names_the_arm_that_moves_an_object(two: Stage) -> None:
+async def test_a_client_names_the_arm_that_moves_an_object_and_time_stands_still_for_both(two: Stage) -> None:
     assert two.call("/right/simulation/set_body", id="cube", movable=True) == (True, "cube can be moved")
     assert two.movers() == {"left": False, "right": True}
-
-
-async def test_time_stands_still_for_both_arms(two: Stage) -> None:
     assert (await two.answer("/simulation/pause", 0, data=True))[0]
     assert all(arm.pauses == [PauseSimulation(paused=True)] for arm in two.arms.values())
 
@@ -428,27 +418,21 @@ def test_a_saved_scene_is_a_world_of_fixed_objects(tmp_path: Path) -> None:
     assert ([each["id"] for each in scene["world"]["collision_objects"]], list(bodies)) == (["cube"], [])
 
 
-REFUSED: list[tuple[Any, str]] = [
-    ({"bodies": 3}, "wanted armbridge_msgs/srv/SetBody_Request, got 3"),
-    ({"bodies": [{"id": "cube", "weight": 1.0}]}, "field weight: wanted a field of .*SetBody_Request"),
-    ({"bodies": [{"id": "ball"}]}, r"bodies\[0\]\.id: there is no object 'ball' in the scene"),
-    ({"bodies": [{"id": "cube", "mass": -1.0}]}, r"bodies\[0\]\.mass must be 0 to 100 kg, .* not -1"),
-    ({"bodies": [{"id": "cube", "friction": float("nan")}]}, r"bodies\[0\]\.friction must be 0 to 10, .* nan"),
-    ([], "message: wanted moveit_msgs/msg/PlanningScene, got a list of 0"),
-    ({"objects": []}, "field objects: wanted a field of moveit_msgs/msg/PlanningScene"),
-]
-
-
-@pytest.mark.parametrize(("content", "sentence"), REFUSED)
-def test_what_is_wrong_with_a_file_has_a_sentence(content: Any, sentence: str, tmp_path: Path) -> None:
-    path = tmp_path / "wrong.json"
-    whole = {"world": {"collision_objects": [CUBE]}, **content} if isinstance(content, dict) else content
-    path.write_text(json.dumps(whole))
-    with pytest.raises((ValueError, MessageError), match=sentence):
-        read_world(str(path), MESSAGE_TYPES)
-
-
-def test_a_file_that_is_not_there_or_no_json_has_a_sentence(tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_file_or_a_file_that_is_none_has_a_sentence(tmp_path: Path) -> None:
+    for content, sentence in (
+        ({"bodies": 3}, "wanted armbridge_msgs/srv/SetBody_Request, got 3"),
+        ({"bodies": [{"id": "cube", "weight": 1.0}]}, "field weight: wanted a field of .*SetBody_Request"),
+        ({"bodies": [{"id": "ball"}]}, r"bodies\[0\]\.id: there is no object 'ball' in the scene"),
+        ({"bodies": [{"id": "cube", "mass": -1.0}]}, r"bodies\[0\]\.mass must be 0 to 100 kg, .* not -1"),
+        ({"bodies": [{"id": "cube", "friction": float("nan")}]}, r"bodies\[0\]\.friction must be 0 to 10, .* nan"),
+        ([], "message: wanted moveit_msgs/msg/PlanningScene, got a list of 0"),
+        ({"objects": []}, "field objects: wanted a field of moveit_msgs/msg/PlanningScene"),
+    ):
+        path = tmp_path / "wrong.json"
+        whole = {"world": {"collision_objects": [CUBE]}, **content} if isinstance(content, dict) else content
+        path.write_text(json.dumps(whole))
+        with pytest.raises((ValueError, MessageError), match=sentence):
+            read_world(str(path), MESSAGE_TYPES)
     with pytest.raises(ValueError, match="there is no such file; the built-in worlds are cubes, peg, table"):
         read_world("cube", MESSAGE_TYPES)
     path = tmp_path / "broken.json"
@@ -463,24 +447,17 @@ def shape_of(**fields: Any) -> BodyShape:
     return shape
 
 
-@pytest.mark.parametrize(
-    ("kind", "expected"), [(2, ("sphere", (0.06,))), (3, ("cylinder", (0.02, 0.03))), (4, ("hull", ()))]
-)
-def test_round_shapes(kind: int, expected: tuple[str, tuple[float, ...]]) -> None:
-    shape = shape_of(primitives=[{"type": kind, "dimensions": [0.06, 0.02]}], primitive_poses=[pose()])
-    assert (shape.kind, shape.size_m) == expected
-    if kind == 4:
-        assert np.ptp(np.array(shape.vertices_m), axis=0) == pytest.approx([0.04, 0.04, 0.06])
-
-
-@pytest.mark.parametrize(
-    ("normal", "place"), [((0.0, 0.0, 1.0), (0.0, 0.0, -0.05)), ((0.0, 0.0, -1.0), (0.0, 0.0, 0.05))]
-)
-def test_a_plane_has_its_normal_along_z(normal: tuple[float, ...], place: tuple[float, ...]) -> None:
-    shape = shape_of(planes=[{"coef": [*normal, 0.05]}], plane_poses=[pose()])
-    assert shape.position_m == pytest.approx(place)
-    x, y, _, _ = shape.orientation
-    assert 1.0 - 2.0 * (x * x + y * y) == pytest.approx(normal[2])
+def test_round_shapes_have_their_size_and_a_plane_its_normal_along_z() -> None:
+    for kind, expected in ((2, ("sphere", (0.06,))), (3, ("cylinder", (0.02, 0.03))), (4, ("hull", ()))):
+        shape = shape_of(primitives=[{"type": kind, "dimensions": [0.06, 0.02]}], primitive_poses=[pose()])
+        assert (shape.kind, shape.size_m) == expected
+        if kind == 4:
+            assert np.ptp(np.array(shape.vertices_m), axis=0) == pytest.approx([0.04, 0.04, 0.06]), kind
+    for normal, place in (((0.0, 0.0, 1.0), (0.0, 0.0, -0.05)), ((0.0, 0.0, -1.0), (0.0, 0.0, 0.05))):
+        shape = shape_of(planes=[{"coef": [*normal, 0.05]}], plane_poses=[pose()])
+        assert shape.position_m == pytest.approx(place)
+        x, y, _, _ = shape.orientation
+        assert 1.0 - 2.0 * (x * x + y * y) == pytest.approx(normal[2])
 
 
 def test_a_mesh_of_many_corners_has_its_outermost_ones() -> None:

@@ -74,9 +74,8 @@ def test_pages_of_a_classrooms_other_servers_may_connect() -> None:
     assert [page for page in pages if origins.has(page, host, encrypted=False)] == [own]
 
 
-@pytest.mark.parametrize(
-    ("tokens", "asked", "admitted"),
-    [
+def test_a_token_admits_its_owner() -> None:
+    for tokens, asked, admitted in (
         (LOCKED, request_for("/", ("Authorization", f"Bearer {SECRET}")), ALICE),
         (LOCKED, request_for("/", ("Authorization", f"bearer  {SECRET} ")), ALICE),
         (LOCKED, request_for(f"/any/path?x=1&token={SECRET}"), ALICE),
@@ -87,15 +86,12 @@ def test_pages_of_a_classrooms_other_servers_may_connect() -> None:
         (OPEN, request_for(f"/?token={OTHER}"), ANYONE),
         (OPEN, plain("/robot/description.urdf", FOREIGN), ANYONE),
         *((LOCKED, plain(path), None) for path in ("/", "/index.html", "/assets/vendor.js", "/healthz", "/livez")),
-    ],
-)
-def test_a_token_admits_its_owner(tokens: Tokens, asked: HandshakeRequest, admitted: Identity | None) -> None:
-    assert AdmissionPolicy(tokens).check(asked) == admitted
+    ):
+        assert AdmissionPolicy(tokens).check(asked) == admitted
 
 
-@pytest.mark.parametrize(
-    ("tokens", "asked", "status", "words"),
-    [
+def test_a_request_is_refused_with_its_reason() -> None:
+    for tokens, asked, status, words in (
         (OPEN, HandshakeRequest("::1", "/", Headers(), upgrade=True), 400, "one Host header, not 0"),
         (OPEN, request_for("/", ("Host", "localhost")), 400, "one Host header, not 2"),
         (OPEN, request_for("/", ("Host", "evil.com")), 400, "one Host header, not 2"),
@@ -104,12 +100,10 @@ def test_a_token_admits_its_owner(tokens: Tokens, asked: HandshakeRequest, admit
         (OPEN, request_for("/robot/description.urdf", FOREIGN), 403, "may not connect"),
         *((OPEN, plain(path, FOREIGN), 403, "") for path in ("/", "/metrics", "/healthz", "/robots", "//robot/x")),
         (LOCKED, request_for(f"/?token={SECRET}&token={OTHER}"), 401, "one token is wanted, not 2"),
-    ],
-)
-def test_a_request_is_refused_with_its_reason(tokens: Tokens, asked: HandshakeRequest, status: int, words: str) -> None:
-    got, text = refused(AdmissionPolicy(tokens).check(asked))
-    assert got == status
-    assert words in text
+    ):
+        got, text = refused(AdmissionPolicy(tokens).check(asked))
+        assert got == status
+        assert words in text
 
 
 @pytest.mark.parametrize("path", [f"/?token={OTHER}", "/?token=", f"/?token={SECRET[:-1]}", f"/?token={SECRET}%00"])
@@ -139,7 +133,7 @@ def test_after_many_wrong_tokens_even_the_right_one_is_refused_for_a_while() -> 
     assert policy.check(right) == ALICE
 
 
-def test_paths_that_tell_of_the_robot_need_a_token() -> None:
+def test_paths_that_tell_of_the_robot_need_a_token_and_those_without_sense_let_nobody_in() -> None:
     told = ("/metrics", "/goal", "/armbridge/x", "/robot/description.urdf", "/%6detrics", "/robot", "/metrics?x=1")
     for path in told:
         status, text = refused(AdmissionPolicy(LOCKED).check(plain(path)))
@@ -147,9 +141,6 @@ def test_paths_that_tell_of_the_robot_need_a_token() -> None:
         asked = path + ("&" if "?" in path else "?") + f"token={SECRET}"
         assert AdmissionPolicy(LOCKED).check(plain(asked)) == ALICE, path
         assert AdmissionPolicy(VIEWED).check(plain(path)) == VIEWED.anonymous, path
-
-
-def test_a_path_without_sense_lets_nobody_in() -> None:
     for path in ("//[", "/%ff%00?token", "?", "", "/?%", "http://[x/?token=a"):
         for upgrade in (True, False):
             assert not isinstance(AdmissionPolicy(LOCKED).check(request_for(path, upgrade=upgrade)), Identity), path
@@ -203,9 +194,8 @@ def test_pages_of_this_machine_may_connect_whatever_their_port_and_other_pages_m
     assert [origin for origin in (*local, *others, *NO_ORIGINS) if is_allowed(origin)] == local
 
 
-@pytest.mark.parametrize(
-    ("origin", "host", "encrypted", "own"),
-    [
+def test_the_server_s_page_is_known_by_scheme_host_and_port() -> None:
+    for origin, host, encrypted, own in (
         ("http://robot.lab:9090", "robot.lab:9090", False, True),
         ("http://Robot.Lab:9090", "robot.lab.:9090", False, True),
         ("http://robot.lab", "robot.lab:80", False, True),
@@ -217,10 +207,8 @@ def test_pages_of_this_machine_may_connect_whatever_their_port_and_other_pages_m
         ("https://robot.lab:9090", "robot.lab:9090", False, False),
         ("http://robot.lab:9090", "robot.lab:9090", True, False),
         ("http://evil.com:9090", "robot.lab:9090", False, False),
-    ],
-)
-def test_the_server_s_page_is_known_by_scheme_host_and_port(origin: str, host: str, encrypted: bool, own: bool) -> None:
-    assert is_allowed(origin, host=host, encrypted=encrypted) is own
+    ):
+        assert is_allowed(origin, host=host, encrypted=encrypted) is own
 
 
 def test_further_pages_are_allowed_by_pattern() -> None:
@@ -244,10 +232,15 @@ WITH_TOKEN = Tokens({SECRET: Identity("admin", Role.ADMIN)}, None)
 EVERYWHERE = ["0.0.0.0"]
 
 
-def test_a_loopback_address_needs_no_token(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_insecure_address_is_warned_of_at_each_start_and_no_other(caplog: pytest.LogCaptureFixture) -> None:
     for addresses in (["127.0.0.1"], ["127.0.0.1", "::1"], ["127.1.2.3"]):
         check_exposure("localhost", addresses, OPEN, insecure=False)
     assert not caplog.records
+    check_exposure("0.0.0.0", EVERYWHERE, WITH_TOKEN, insecure=False)
+    assert not caplog.records
+    for _ in range(2):
+        check_exposure("0.0.0.0", EVERYWHERE, OPEN, insecure=True)
+    assert caplog.text.count("INSECURE: anyone at 0.0.0.0 may connect without a token as admin") == 2
 
 
 @pytest.mark.parametrize("addresses", [EVERYWHERE, ["::"], ["192.168.0.2"], ["127.0.0.1", "192.168.0.2"], ["fe80::1"]])
@@ -255,14 +248,6 @@ def test_a_public_address_needs_a_token_or_the_option_insecure(addresses: list[s
     with pytest.raises(ConfigurationError) as refused:
         check_exposure("robot", addresses, OPEN, insecure=False)
     assert all(words in str(refused.value) for words in ("ARMBRIDGE_ACCESS__TOKEN", "--insecure", addresses[-1]))
-
-
-def test_tokens_need_no_warning_and_an_insecure_address_one_at_each_start(caplog: pytest.LogCaptureFixture) -> None:
-    check_exposure("0.0.0.0", EVERYWHERE, WITH_TOKEN, insecure=False)
-    assert not caplog.records
-    for _ in range(2):
-        check_exposure("0.0.0.0", EVERYWHERE, OPEN, insecure=True)
-    assert caplog.text.count("INSECURE: anyone at 0.0.0.0 may connect without a token as admin") == 2
 
 
 def test_anonymous_operators_need_the_option_insecure_and_viewers_do_not(caplog: pytest.LogCaptureFixture) -> None:
@@ -303,19 +288,11 @@ fd000000000000000000000000000002 02 40 00 80     eth0
 """
 
 
-def test_only_addresses_that_others_can_write_down_are_returned() -> None:
+def test_addresses_that_others_can_write_down_are_returned_and_ipv6_ones_of_global_scope(monkeypatch, tmp_path) -> None:
     found = [ip_address(text) for text in host_addresses()]
     assert [address for address in found if address.is_loopback or address.is_link_local] == []
-
-
-def test_ipv6_addresses_are_those_of_global_scope(monkeypatch, tmp_path):
     (tmp_path / "if_inet6").write_text(IPV6_TABLE)
-    monkeypatch.setattr(admission, "_IPV6_TABLE", tmp_path / "if_inet6")
     monkeypatch.setattr(admission, "_ipv4_addresses", lambda: ["10.0.0.2"])
-    assert host_addresses() == ["10.0.0.2", "fd00::2"]
-
-
-@pytest.mark.parametrize("table", ["missing", "."])
-def test_a_kernel_without_ipv6_or_with_a_table_that_cannot_be_read_has_none(monkeypatch, tmp_path, table):
-    monkeypatch.setattr(admission, "_IPV6_TABLE", tmp_path / table)
-    assert not any(":" in address for address in host_addresses())
+    for table, found in (("if_inet6", ["10.0.0.2", "fd00::2"]), ("missing", ["10.0.0.2"]), (".", ["10.0.0.2"])):
+        monkeypatch.setattr(admission, "_IPV6_TABLE", tmp_path / table)
+        assert host_addresses() == found, table

@@ -44,13 +44,10 @@ def test_feedback_to_a_slow_sender_is_dropped_and_its_result_is_not(world: InPro
     assert world.heard("c")[-1]["op"] == "action_result"
 
 
-def test_a_goal_may_be_cancelled_without_an_id_when_it_was_sent_without(world: InProcess) -> None:
+def test_a_goal_without_an_id_is_cancelled_without_one_by_its_sender_alone(world: InProcess) -> None:
     world.say("c", op="send_action_goal", action="/grip", action_type=TYPE)
     world.say("c", op="cancel_action_goal", action="grip")
     assert [asked["op"] for asked in world.heard("p")] == ["send_action_goal", "cancel_action_goal"]
-
-
-def test_a_goal_without_an_id_is_not_cancelled_by_others_when_its_sender_has_left(world: InProcess) -> None:
     world.say("c", op="send_action_goal", action="/grip", action_type=TYPE)
     world.client("c").leave()
     world.say("d", op="cancel_action_goal", action="/grip")

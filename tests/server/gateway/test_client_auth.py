@@ -26,15 +26,12 @@ def identity(world: InProcess, name: str = "x") -> Identity | None:
     return world.client(name).node.identity
 
 
-def test_a_token_identifies_a_client(world: InProcess) -> None:
+def test_a_token_identifies_a_client_and_operations_after_it_are_carried_out(world: InProcess) -> None:
     world.client("x").node.address = "10.0.0.1:5"
     world.say("x", op="auth", token=SCREEN)
     assert identity(world) == Identity("screen", Role.VIEW)
     assert world.client("x").node.name == "screen (10.0.0.1:5)"
     assert not world.closed
-
-
-def test_operations_after_auth_in_the_same_frame_are_carried_out(world: InProcess) -> None:
     world.client("x").receive_frame(json.dumps({"op": "auth", "token": ADA}) + json.dumps(LISTEN))
     assert "/a" in world.graph.topic_names.types()
 
@@ -60,9 +57,7 @@ FRAMES = {
 
 
 @pytest.mark.parametrize("what", [*WRONG, *FRAMES])
-def test_whatever_else_than_a_right_auth_comes_first_ends_the_connection_and_does_nothing(
-    world: InProcess, what: str
-) -> None:
+def test_anything_but_a_right_auth_at_first_ends_the_connection_and_does_nothing(world: InProcess, what: str) -> None:
     world.client("x").receive_frame({**WRONG, **FRAMES}[what])
     assert world.closed["x"].startswith("auth: " if what in WRONG else "")
     assert world.closed["x"]
@@ -77,21 +72,17 @@ def test_there_is_one_guess_a_connection(world: InProcess) -> None:
     assert identity(world) is None
 
 
-def test_a_client_raises_its_rights_by_a_right_token(world: InProcess) -> None:
+def test_a_client_has_the_rights_of_its_last_token_and_none_after_a_wrong_one(world: InProcess) -> None:
     world.say("x", op="auth", token=SCREEN)
     world.say("x", op="advertise", topic="/a", type="std_msgs/String")
     assert world.graph.topic_names.types() == {}
     world.say("x", op="auth", token=ADA)
     world.say("x", op="advertise", topic="/a", type="std_msgs/String")
     assert "/a" in world.graph.topic_names.types()
-
-
-def test_a_wrong_token_costs_a_client_the_rights_that_it_had(world: InProcess) -> None:
-    world.say("x", op="auth", token=SCREEN)
     world.say("x", op="auth", token=GUESS)
     assert world.closed["x"]
-    world.say("x", **LISTEN)
-    assert world.graph.topic_names.types() == {}
+    world.say("x", op="subscribe", topic="/b", type="std_msgs/String")
+    assert "/b" not in world.graph.topic_names.types()
 
 
 def test_nobody_gives_itself_a_role(world: InProcess) -> None:

@@ -98,29 +98,26 @@ def calls_of(world: InProcess, service: str, type_name: str, **options: Any) -> 
     return started
 
 
-@pytest.mark.parametrize(
-    ("role", "limit", "service", "fields"),
-    [
+def test_calls_that_plan_are_limited_by_role() -> None:
+    for role, limit, service, fields in (
         (Role.VIEW, 16, "/check_goals", {}),
         (Role.OPERATE, 64, "/check_goals", {}),
         (Role.ADMIN, 64, "/check_goals", {}),
         # Below the name of one of several arms.
         (Role.OPERATE, 64, "/left/moveit_goal", {"args": {"plan_only": True}}),
-    ],
-)
-def test_calls_that_plan_are_limited_by_role(role: Role, limit: int, service: str, fields: dict[str, Any]) -> None:
-    world = InProcess(arms=("left", "right"))
-    started = calls_of(world, service, "armbridge_msgs/srv/MoveitGoal")
-    world.enter("c", Identity("c", role))
-    for number in range(limit + 1):
-        world.say("c", op="call_service", service=service, id=number, **fields)
-    assert len(started) == limit
-    (refused,) = world.heard("c")
-    assert (refused["id"], refused["result"]) == (limit, False)
-    assert f"the limit of its role is {limit}" in refused["values"]
-    started[0].succeed({})
-    world.say("c", op="call_service", service=service, id="next", **fields)
-    assert len(started) == limit + 1
+    ):
+        world = InProcess(arms=("left", "right"))
+        started = calls_of(world, service, "armbridge_msgs/srv/MoveitGoal")
+        world.enter("c", Identity("c", role))
+        for number in range(limit + 1):
+            world.say("c", op="call_service", service=service, id=number, **fields)
+        assert len(started) == limit
+        (refused,) = world.heard("c")
+        assert (refused["id"], refused["result"]) == (limit, False)
+        assert f"the limit of its role is {limit}" in refused["values"]
+        started[0].succeed({})
+        world.say("c", op="call_service", service=service, id="next", **fields)
+        assert len(started) == limit + 1
 
 
 def test_a_client_that_has_left_is_answered_nothing() -> None:

@@ -163,9 +163,7 @@ class TestStrictWay:
         assert heard == [(1, 2, 3), (1, 0, 0), (4, 5, 6), (0, 7, 0)]
 
     @pytest.mark.parametrize("change", ["type", "role", "latch"])
-    def test_after_a_change_a_frame_is_read_the_general_way(
-        self, world: InProcess, publisher: Client, change: str
-    ) -> None:
+    def test_after_a_change_frames_take_the_general_way(self, world: InProcess, publisher: Client, change: str) -> None:
         if change == "type":
             world.say("x", op="unsubscribe", topic="/a")
             publisher.leave()
@@ -193,9 +191,7 @@ class TestStrictWay:
         packed = [json.loads(png.decode(said["data"])) for said in world.heard("x")]
         assert [each["msg"] for each in packed] == [{"data": 7}] * 2
 
-    def test_a_whole_message_behind_a_piece_of_another_is_the_end_of_that(
-        self, world: InProcess, publisher: Client
-    ) -> None:
+    def test_a_whole_message_behind_a_piece_of_another_ends_that(self, world: InProcess, publisher: Client) -> None:
         for frame in (FRAME[:20], FRAME, FRAME[20:]):
             publisher.receive_frame(frame)
         assert len(world.heard("x")) == 1

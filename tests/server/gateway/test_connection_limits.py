@@ -5,11 +5,10 @@ from http import HTTPStatus
 import pytest
 from websockets.asyncio.client import connect
 
-from harness.waiting import until
 from server.gateway import admission as admission_module
 from server.gateway.admission import ANSWERS_PER_S, BURST_TIME_S, MAX_ANSWERED, ConnectionLimiter, ConnectionSlot
 from server.gateway.settings import ServerSettings
-from tests.helpers.gateway import TIMEOUT_S, connected, exchange, limiter_of, listening, request, status, until_empty
+from tests.helpers.gateway import TIMEOUT_S, limiter_of, listening, until_empty
 
 HERE, THERE = "192.0.2.1", "192.0.2.2"
 MANY = 100_000
@@ -59,7 +58,7 @@ def test_one_connection_too_many_from_an_address_or_in_all_is_told_the_limit() -
     )
 
 
-def test_one_address_leaves_room_for_others_where_there_are_fewer_files_than_clients() -> None:
+def test_one_address_leaves_room_for_others_also_of_fewer_clients_unless_the_settings_give_it_all() -> None:
     limiter = ConnectionLimiter(ServerSettings())
     limiter.reduce(100)
     for number in range(100):
@@ -67,9 +66,6 @@ def test_one_address_leaves_room_for_others_where_there_are_fewer_files_than_cli
     assert limiter.open_count == 80
     assert "the limit is 80 (server.max_clients_per_address, reduced" in refusal(acquire(limiter, HERE, 100.0))[1]
     assert acquire(limiter, THERE, 100.0).rejection is None
-
-
-def test_one_address_may_have_all_of_fewer_clients_where_the_settings_say_so() -> None:
     limiter = limits(clients=1000, per_address=1000)
     limiter.reduce(100)
     assert all(acquire(limiter).rejection is None for _ in range(100))
@@ -110,16 +106,13 @@ def test_a_flood_gets_a_few_answers_and_only_so_many_are_on_their_way() -> None:
     assert limiter.acquire(HERE, 200.0) is not None
 
 
-def test_addresses_that_have_gone_are_forgotten_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_addresses_that_have_gone_are_forgotten_in_the_end_and_a_flood_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(admission_module, "MAX_ABSENT", 3)
     limiter = limits()
     for number in range(10):
         acquire(limiter, f"192.0.2.{number}").release()
     assert len(limiter._absent) == 3
     assert not limiter._present
-
-
-def test_a_flood_from_an_address_without_a_connection_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     limiter = limits(clients=1, per_s=1.0)
     acquire(limiter, THERE)
     for _ in range(BURST_TIME_S):
@@ -131,23 +124,6 @@ def test_a_flood_from_an_address_without_a_connection_is_remembered(monkeypatch:
 
 # Addresses of one machine, each with its own count.
 OTHER = ("127.0.0.2", 0)
-
-
-async def test_a_client_beyond_the_limit_is_answered_and_connects_when_there_is_room() -> None:
-    async with listening(ServerSettings(port=0, max_clients_per_address=2)) as listener:
-        url = f"ws://127.0.0.1:{listener.port}"
-        async with connect(url), connected(listener.port):
-            # One counts before it asks for anything.
-            await until(lambda: limiter_of(listener).open_count == 2)
-            answer = await exchange(listener.port, request("Upgrade: websocket"))
-            assert status(answer) == 429
-            assert "Retry-After: 5\r\n" in answer
-            assert "the limit is 2 (server.max_clients_per_address)" in answer
-            async with connect(url, local_addr=OTHER):
-                pass
-        await until_empty(listener)
-        async with connect(url):
-            pass
 
 
 async def test_a_flood_of_connections_from_one_address_holds_nobody_else_up(caplog: pytest.LogCaptureFixture) -> None:

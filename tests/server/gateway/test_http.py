@@ -12,8 +12,6 @@ from dataclasses import replace
 from http import HTTPStatus
 from pathlib import Path
 from types import MappingProxyType
-from urllib.parse import urljoin
-from urllib.request import urlopen
 
 import pytest
 from websockets.datastructures import Headers
@@ -186,14 +184,6 @@ async def test_a_robot_s_files_may_be_read_by_pages_of_other_origins_and_the_pag
         assert (await site.ask(path))[0].headers["Access-Control-Allow-Origin"] == origins
 
 
-async def test_compas_fab_finds_the_meshes_that_the_description_names(site: Site) -> None:
-    # What compas_fab 2's HttpFileServerLoader does with `http_file_server_base_url`.
-    base_url, url = f"http://127.0.0.1:{site.port}/robot/", f"package://{PACKAGE}/assets/base.stl"
-    assert url.encode() in (await site.ask("/robot/description.urdf"))[1]
-    with await asyncio.to_thread(urlopen, urljoin(base_url, url.removeprefix("package://")), timeout=TIMEOUT_S) as mesh:
-        assert mesh.read() == MESH
-
-
 async def test_a_file_that_is_too_large_is_told_once_with_the_limit(
     site: Site, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -308,15 +298,12 @@ def test_a_header_may_come_in_several_lines() -> None:
     assert gate.names(Headers({"Accept-Encoding": "br, GZIP;q=0.5"}), "Accept-Encoding", "gzip")
 
 
-def test_content_that_is_there_already_is_not_sent() -> None:
+def test_content_that_is_there_already_is_not_sent_and_a_sentence_has_no_name() -> None:
     answer = HttpResponse.of_file(StoredFile(b"content", '"name"', gzipped=True), "text/css", "no-cache")
     for held in ('"name"', 'W/"name"', '"a", "name"', "*"):
         sent = answer.response(Request("/", Headers({"If-None-Match": held})))
         assert (sent.status_code, sent.body, sent.headers["ETag"]) == (HTTPStatus.NOT_MODIFIED, b"", '"name"'), held
         assert not {"Content-Type", "Content-Encoding", "Content-Length"} & set(sent.headers), held
-
-
-def test_a_sentence_has_no_name_to_be_known_by() -> None:
     answer = HttpResponse.of_text(HTTPStatus.NOT_FOUND, "no \udcff")
     sent = answer.response(Request("/", Headers({"If-None-Match": "*"})))
     assert (sent.status_code, sent.body, sent.headers["Cache-Control"]) == (404, b"no \\udcff\n", "no-store")
@@ -349,7 +336,7 @@ async def test_a_file_is_read_once_until_it_changes(path: Path, monkeypatch: pyt
     assert (await cache.read(lambda: path, gzipped=False)).octets == LONG + b"."
 
 
-async def test_the_file_that_was_asked_for_the_longest_ago_goes_first(tmp_path: Path) -> None:
+async def test_the_file_asked_for_the_longest_ago_goes_first_and_one_too_large_is_not_kept(tmp_path: Path) -> None:
     paths = [tmp_path / name for name in "abc"]
     for path in paths:
         path.write_bytes(LONG)
@@ -360,13 +347,10 @@ async def test_the_file_that_was_asked_for_the_longest_ago_goes_first(tmp_path: 
     await cache.read(lambda: c, gzipped=False)
     assert await cache.read(lambda: a, gzipped=False) is kept[a]
     assert await cache.read(lambda: b, gzipped=False) is not kept[b]
-
-
-async def test_a_file_larger_than_all_that_is_kept_is_read_and_not_kept(path: Path) -> None:
     cache = FileCache(len(LONG) - 1)
-    first = await cache.read(lambda: path, gzipped=False)
+    first = await cache.read(lambda: a, gzipped=False)
     assert first.octets == LONG
-    assert await cache.read(lambda: path, gzipped=False) is not first
+    assert await cache.read(lambda: a, gzipped=False) is not first
 
 
 async def test_files_are_read_by_one_thread_beside_the_event_loop(path: Path) -> None:

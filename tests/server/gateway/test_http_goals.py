@@ -111,11 +111,8 @@ async def test_a_goal_gets_the_one_answer_of_its_service(door: Door, ended: dict
     assert not door.access.drivers
 
 
-async def test_a_stop_needs_no_more_than_the_right_to_look(door: Door) -> None:
+async def test_a_stop_needs_no_more_than_the_right_to_look_and_stops_beside_other_fields_too(door: Door) -> None:
     assert await door.post({"stop": True}, token=VIEWER) == (200, {"success": True, "message": "stopped"})
-
-
-async def test_a_stop_beside_other_fields_or_of_another_type_stops(door: Door) -> None:
     for asked in ({**READY, "stop": True}, {"stop": 1}, {"stop": "now", "speed": 3}):
         assert await door.post(asked) == (200, {"success": True, "message": "stopped"}), asked
 
@@ -138,9 +135,8 @@ async def test_the_gripper_is_a_goal_of_its_own(door: Door, end: Any, status: in
     assert (got, answer["success"], answer["message"][: len(message)]) == (status, status == 200, message)
 
 
-@pytest.mark.parametrize(
-    ("body", "lines", "status", "message"),
-    [
+async def test_a_mistake_is_one_sentence_that_names_it(door: Door) -> None:
+    for body, lines, status, message in (
         (b"{", (), 400, "the body is no JSON"),
         (b"", (), 400, "the body is no JSON"),
         (b'{"gripper":{"position":NaN}}', (), 400, "the body is no JSON"),
@@ -160,32 +156,29 @@ async def test_the_gripper_is_a_goal_of_its_own(door: Door, end: Any, status: in
         (READY, ("Content-Type: ",), 415, "must be application/json, not none"),
         (READY, ("Content-Length: ",), 411, "the header Content-Length is missing"),
         (READY, ("Content-Length: -1",), 400, "the header Content-Length must be one number, not -1"),
-    ],
-)
-async def test_a_mistake_is_one_sentence_that_names_it(
-    door: Door, body: object, lines: tuple[str, ...], status: int, message: str
-) -> None:
-    got, answer = await door.post(body, *lines)
-    assert (got, answer["success"]) == (status, False)
-    assert message in answer["message"]
-    assert not door.arm.calls
-    assert not door.arm.gripper
+    ):
+        got, answer = await door.post(body, *lines)
+        assert (got, answer["success"]) == (status, False)
+        assert message in answer["message"]
+        assert not door.arm.calls, message
+        assert not door.arm.gripper, message
 
 
-async def test_the_deadline_is_within_its_limits(door: Door) -> None:
+async def test_the_deadline_is_within_its_limits_and_a_goal_that_outlasts_it_is_cancelled(door: Door) -> None:
     for text in ("0", "-1", "nan", "3601", "soon"):
         got, answer = await door.post(READY, path=f"/goal?timeout={text}")
         assert (got, answer["message"]) == (400, f"timeout must be above 0 and at most 3600 s, not {text!r}")
-
-
-async def test_a_goal_that_outlasts_its_deadline_is_cancelled(door: Door) -> None:
     got, answer = await door.post(READY, path="/goal?timeout=0.01")
     assert (got, answer["message"]) == (504, "the goal did not end within 0.01 s (?timeout=), so it is cancelled")
     call = await door.arm.call()
     assert (call.ended, call.caller_left, call.caller.takes_goals_along) == (True, True, True)
 
 
-async def test_who_may_not_gets_the_reason_and_the_status(door: Door) -> None:
+async def test_who_may_not_and_a_page_of_another_site_get_the_reason_and_move_nothing(door: Door) -> None:
+    for origin in ("https://evil.example", "null"):
+        got, answer = await door.post(READY, f"Origin: {origin}")
+        assert (got, "may not connect" in answer) == (403, True)
+    assert not door.arm.calls
     got, answer = await door.post(READY, token=VIEWER)
     assert (got, "needs the role propose, this client has view" in answer["message"]) == (403, True)
     assert (await door.post(READY, token=""))[0] == 401
@@ -193,13 +186,6 @@ async def test_who_may_not_gets_the_reason_and_the_status(door: Door) -> None:
     door.access.lease.drive(Node("alice", remote=True, identity=ANYONE), door.access.clock())
     got, answer = await door.post(READY)
     assert (got, "alice has controlled the arm" in answer["message"]) == (409, True)
-    assert not door.arm.calls
-
-
-async def test_a_page_of_another_site_cannot_move_the_arm(door: Door) -> None:
-    for origin in ("https://evil.example", "null"):
-        got, answer = await door.post(READY, f"Origin: {origin}")
-        assert (got, "may not connect" in answer) == (403, True)
     assert not door.arm.calls
 
 
@@ -218,9 +204,7 @@ async def test_other_methods_are_refused(door: Door) -> None:
 
 @pytest.mark.parametrize("asked", ["", "?on_disconnect=stop"])
 @pytest.mark.parametrize("broken", [False, True])
-async def test_the_goal_of_a_client_that_leaves_goes_on_or_stops_as_over_websocket(
-    door: Door, asked: str, broken: bool
-) -> None:
+async def test_a_leaving_clients_goal_goes_on_or_stops_as_over_websocket(door: Door, asked: str, broken: bool) -> None:
     await door.open(READY, path=f"/goal{asked}")
     call = await door.arm.call()
     (door.writer.transport.abort if broken else door.writer.close)()
@@ -239,9 +223,7 @@ async def continued(door: Door) -> asyncio.StreamReader:
     return reader
 
 
-async def test_a_body_comes_in_pieces_and_with_what_nobody_asked_for(
-    door: Door, continued: asyncio.StreamReader
-) -> None:
+async def test_a_body_comes_in_pieces_and_with_more_behind_it(door: Door, continued: asyncio.StreamReader) -> None:
     for octet in BODY:
         door.writer.write(bytes([octet]))
         await door.writer.drain()
@@ -260,9 +242,7 @@ async def test_a_body_that_does_not_come_is_not_waited_for(door: Door, monkeypat
     assert (await door.answer(reader))[0] == 400
 
 
-async def test_a_stop_while_the_body_is_on_its_way_is_later_than_the_goal(
-    door: Door, continued: asyncio.StreamReader
-) -> None:
+async def test_a_stop_while_the_body_comes_is_later_than_the_goal(door: Door, continued: asyncio.StreamReader) -> None:
     before = STOP_EPOCHS.present
     STOP_EPOCHS.begin()
     door.writer.write(BODY)

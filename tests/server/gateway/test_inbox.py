@@ -145,7 +145,7 @@ def client(world: World) -> Handler:
     return world.client(step_s=ROUND_S)
 
 
-def test_a_frame_of_many_operations_is_carried_out_a_turn_at_a_time(world: World) -> None:
+def test_a_frame_of_many_operations_is_carried_out_a_turn_at_a_time_with_others_in_between(world: World) -> None:
     client = world.client(step_s=TURN_S / 4)
     client.publish(*["/a"] * 100)
     assert len(world.done) <= 5
@@ -155,9 +155,6 @@ def test_a_frame_of_many_operations_is_carried_out_a_turn_at_a_time(world: World
         assert 0 < len(world.done) - before <= ROUND_S / TURN_S * 5
     world.run()
     assert world.done == ["/a"] * 100
-
-
-def test_another_client_has_its_turn_in_between(world: World) -> None:
     world.client("a ", TURN_S / 4).publish(*["/a"] * 100)
     world.client("b ", TURN_S / 4).publish(*["/b"] * 3)
     world.turn()
@@ -194,9 +191,7 @@ def test_a_long_frame_of_few_values_is_carried_out_at_once(world: World) -> None
     assert world.done == ["/a"]
 
 
-def test_a_stop_goes_ahead_of_its_clients_own_operations_and_those_move_nothing_any_more(
-    world: World, client: Handler
-) -> None:
+def test_a_stop_goes_ahead_of_its_clients_own_operations_and_those_move_nothing(world: World, client: Handler) -> None:
     client.publish(*["/a", "/goal"] * 10)
     client.publish("/stop")
     assert world.done[-1] == "/stop"
@@ -352,16 +347,13 @@ def test_a_client_has_the_threads_for_half_of_the_time_at_most(world: World) -> 
     assert world.done == ["/large", "/large"]
 
 
-def test_a_socket_is_not_read_while_much_waits(world: World, client: Handler) -> None:
+def test_a_socket_is_not_read_while_much_waits_nor_carried_out_after_its_end(world: World, client: Handler) -> None:
     for _ in range(MAX_WAITING + 3):
         client.publish("/a")
     assert client.socket.held
     world.run()
     assert not client.socket.held
     assert len(world.done) == MAX_WAITING + 3
-
-
-def test_a_client_that_is_closed_has_nothing_carried_out(world: World, client: Handler) -> None:
     client.publish(*["/a"] * 10)
     done = len(world.done)
     client.inbox.close()

@@ -12,7 +12,6 @@ import pytest
 import uvloop
 from websockets.asyncio.client import connect
 
-from protocol.limits import Limits
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError, StartError
@@ -46,16 +45,13 @@ def pairs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Pair, Pair]:
     return make_pair(tmp_path_factory.mktemp("one")), make_pair(tmp_path_factory.mktemp("other"))
 
 
-def test_a_key_of_another_certificate_is_named(pairs: tuple[Pair, Pair]) -> None:
+def test_a_key_that_does_not_fit_or_is_missing_or_locked_is_named(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
     one, other = pairs
     with pytest.raises(ConfigurationError) as refused:
         Tls(one.certificate, other.key)
     assert str(refused.value) == (
         f"server.tls_key: {other.key} is not the key of the certificate in {one.certificate} (server.tls_certificate)"
     )
-
-
-def test_a_file_that_is_missing_or_of_something_else_is_named(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
     for which, kind in (("certificate", "CERTIFICATE"), ("key", "PRIVATE KEY")):
         other = tmp_path / f"{which}.pem"
         pair = pairs[0]._replace(**{which: other})
@@ -64,9 +60,6 @@ def test_a_file_that_is_missing_or_of_something_else_is_named(pairs: tuple[Pair,
         other.write_bytes(b"\xff\x00 nothing of that kind")
         with pytest.raises(ConfigurationError, match=f"server.tls_{which}: .*{which}.pem has no {kind} in PEM format"):
             Tls(*pair)
-
-
-def test_a_key_with_a_passphrase_is_refused_without_a_prompt(pairs: tuple[Pair, Pair], tmp_path: Path) -> None:
     locked = tmp_path / "locked.pem"
     openssl("pkey", "-in", str(pairs[0].key), "-aes256", "-passout", "pass:secret", "-out", str(locked))
     with pytest.raises(ConfigurationError, match="the key has a passphrase") as refused:
@@ -112,12 +105,6 @@ def test_only_a_sound_pair_is_taken(pairs: tuple[Pair, Pair], tmp_path: Path, ca
 @pytest.fixture
 def pair(pairs: tuple[Pair, Pair]) -> Pair:
     return pairs[0]
-
-
-@pytest.fixture
-async def encrypted(pair: Pair) -> AsyncIterator[Listener]:
-    async with listening(over_tls_with(pair)) as listener:
-        yield listener
 
 
 def over_tls_with(pair: Pair | None, **limits: Any) -> ServerSettings:
@@ -167,9 +154,7 @@ def test_the_event_loop_of_the_server_carries_both(over_tls: bool, pair: Pair) -
     uvloop.run(serve_and_talk())
 
 
-async def test_a_connection_without_a_tls_handshake_is_closed_and_takes_no_slot(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_connection_without_a_tls_handshake_takes_no_slot(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listener_module, "TLS_HANDSHAKE_TIMEOUT_S", 0.5)
     async with listening(over_tls_with(pair, max_clients=1)) as listener:
         async with connected(listener.port) as (reader, _):
@@ -196,9 +181,10 @@ async def test_a_connection_that_gets_no_answer_ends_at_once_and_is_not_read(
     assert "Error" not in caplog.text
 
 
-async def test_a_client_without_tls_is_logged_once(encrypted: Listener, caplog: pytest.LogCaptureFixture) -> None:
-    for _ in range(2):
-        assert await exchange(encrypted.port, request()) == ""
+async def test_a_client_without_tls_is_logged_once(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
+    async with listening(over_tls_with(pair)) as listener:
+        for _ in range(2):
+            assert await exchange(listener.port, request()) == ""
     assert caplog.text.count("a client speaks ws:// or http://, and here is wss:// and https://") == 1
 
 
@@ -247,16 +233,6 @@ async def listener() -> AsyncIterator[Listener]:
         yield made
 
 
-async def test_a_message_over_the_limit_is_refused_and_the_connection_lives_on() -> None:
-    settings = ServerSettings(port=0, limits=Limits(max_message_bytes=100_000))
-    async with listening(settings) as made, connect(made.url) as websocket:
-        await say(websocket, "set_level", level="error")
-        await websocket.send("x" * 100_001)
-        told = await receive(websocket)
-        await asyncio.wait_for(await websocket.ping(), TIMEOUT_S)
-    assert told == {"op": "status", "level": "error", "msg": "message of 100001 bytes, the limit is 100000"}
-
-
 async def test_an_address_that_others_reach_is_not_even_bound_without_a_word_about_it() -> None:
     listener = Listener(Graph(REGISTRY), ServerSettings(host="0.0.0.0", port=0))
     with pytest.raises(ConfigurationError, match="--insecure"):
@@ -300,14 +276,11 @@ def has_ipv6() -> bool:
     return True
 
 
-async def test_a_host_is_all_its_addresses_and_no_host_those_of_the_machine() -> None:
+async def test_a_host_is_all_its_addresses_no_host_those_of_the_machine_and_a_name_that_there_is_not_is_told() -> None:
     assert await listener_module.resolve("127.0.0.1", 9090) == [IPV4]
     assert await listener_module.resolve("::1", 9090) == [IPV6]
     assert IPV4 in await listener_module.resolve("localhost", 9090)
     assert "0.0.0.0" in {address[0] for _, address in await listener_module.resolve("", 9090)}
-
-
-async def test_a_name_that_there_is_not_is_told() -> None:
     with pytest.raises(StartError, match=r"cannot listen on no\.\.where:9090: this is no name of a host"):
         await listener_module.resolve("no..where", 9090)
     with pytest.raises(StartError, match=r"cannot listen on 127\.0\.0\.256:9090: "):
@@ -403,15 +376,13 @@ async def test_clients_beyond_the_system_s_limit_of_open_files_are_refused(monke
     assert "the limit is 2 (server.max_clients, reduced to the files that the system lets the server open)" in answer
 
 
-@pytest.mark.parametrize(("host", "urls"), [("127.0.0.1", []), ("0.0.0.0", ["http://10.0.0.2:{port}/"])])
-async def test_other_machines_find_the_page_at_the_addresses_of_this_one(
-    host: str, urls: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_other_machines_find_the_page_at_the_addresses_of_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.gateway.listener.host_addresses", lambda: ["10.0.0.2", "fd00::2"])
     access = Access(AccessSettings(insecure=True))
-    listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0), access=access)
-    await listener.bind()
-    try:
-        assert listener.page_urls_elsewhere == [url.format(port=listener.port) for url in urls]
-    finally:
-        await listener.close()
+    for host, urls in (("127.0.0.1", []), ("0.0.0.0", ["http://10.0.0.2:{port}/"])):
+        listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0), access=access)
+        await listener.bind()
+        try:
+            assert listener.page_urls_elsewhere == [url.format(port=listener.port) for url in urls]
+        finally:
+            await listener.close()

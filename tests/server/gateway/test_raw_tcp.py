@@ -189,7 +189,7 @@ async def test_a_subscription_begins_with_the_newest_message_at_most(graph: Grap
         assert (await client.receive())["id"] == "then"
 
 
-async def test_a_half_closed_client_still_gets_its_answers(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_half_closed_client_gets_its_answers(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
     # A call a turn, so that most of them wait when the client's end is seen.
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with await RawClient.connect(port_of(listener)) as client:

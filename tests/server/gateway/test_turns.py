@@ -17,7 +17,7 @@ def threads() -> Iterator[Threads]:
     made.close()
 
 
-async def test_a_job_ends_in_the_event_loop_with_its_result_and_its_cost(threads: Threads) -> None:
+async def test_jobs_end_in_the_event_loop_also_by_failing(threads: Threads, caplog: pytest.LogCaptureFixture) -> None:
     ended = asyncio.get_running_loop().create_future()
     threads.run(
         threading.get_ident,
@@ -27,11 +27,6 @@ async def test_a_job_ends_in_the_event_loop_with_its_result_and_its_cost(threads
     thread, cost_s, ended_in = await asyncio.wait_for(ended, TIMEOUT_S)
     assert thread != ended_in == threading.get_ident()
     assert cost_s >= 0
-
-
-async def test_a_job_that_raises_is_logged_and_tells_that_it_failed(
-    threads: Threads, caplog: pytest.LogCaptureFixture
-) -> None:
     failed = asyncio.Event()
 
     def job() -> None:

@@ -339,9 +339,7 @@ async def test_what_waits_for_the_end_of_a_turn_is_bounded(monkeypatch: pytest.M
         assert [len(await link.client.recv()) for _ in range(100)] == [1000] * 100
 
 
-async def test_frames_not_read_before_a_connection_ends_are_dropped_and_none_is_taken(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+async def test_a_connection_that_ends_drops_unread_frames_and_takes_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(transport, "TURN_S", 0.0)
     async with linked() as link:
         link.server.data_received(FLOOD)
@@ -398,24 +396,18 @@ def hasty(impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("hasty")
-@pytest.mark.parametrize(
-    ("ended", "reason"),
-    [
+async def test_a_client_with_half_a_request_is_answered_400_and_disconnected() -> None:
+    for ended, reason in (
         (False, f"the request was not complete within {LOWEST_S:g} s\n"),
         (True, "this is no complete HTTP request: connection closed while reading HTTP"),
-    ],
-    ids=["waits", "ends its stream"],
-)
-async def test_a_client_that_does_not_finish_its_request_is_answered_400_and_disconnected(
-    ended: bool, reason: str
-) -> None:
-    async with listening() as listener:
-        # Without a byte of a request nothing is answered.
-        assert await answered(listener, b"", ended=ended) == ""
-        for sent in HALF_A_REQUEST:
-            answer = await answered(listener, sent, ended=ended)
-            assert status(answer) == 400, sent
-            assert reason in answer, sent
+    ):
+        async with listening() as listener:
+            # Without a byte of a request nothing is answered.
+            assert await answered(listener, b"", ended=ended) == ""
+            for sent in HALF_A_REQUEST:
+                answer = await answered(listener, sent, ended=ended)
+                assert status(answer) == 400, sent
+                assert reason in answer, sent
 
 
 @pytest.mark.usefixtures("hasty")
@@ -434,9 +426,8 @@ async def test_a_path_that_is_no_url_opens_a_websocket_with_its_query() -> None:
         assert server.query == {"ros": ["1"]}
 
 
-@pytest.mark.parametrize(
-    ("sent", "answer"),
-    [
+async def test_a_request_is_answered_or_its_connection_ends_and_others_are_served() -> None:
+    for sent, answer in (
         (request(f"X: {'x' * 40_000}"), 431),
         (b"\x16\x03\x01 this is TLS\r\n\r\n", 400),
         (b"\x00" * 100_000, 414),
@@ -445,12 +436,10 @@ async def test_a_path_that_is_no_url_opens_a_websocket_with_its_query() -> None:
         (request(*UPGRADE), 101),
         (request(*UPGRADE, path="/../../etc/passwd"), 101),
         (request(path="/../../etc/passwd"), 404),
-    ],
-)
-async def test_a_request_is_answered_or_its_connection_ends_and_others_are_served(sent: bytes, answer: int) -> None:
-    async with listening() as listener, connect(f"ws://127.0.0.1:{listener.port}") as client:
-        assert status(await exchange(listener.port, sent)) == answer
-        await asyncio.wait_for(await client.ping(), TIMEOUT_S)
+    ):
+        async with listening() as listener, connect(f"ws://127.0.0.1:{listener.port}") as client:
+            assert status(await exchange(listener.port, sent)) == answer
+            await asyncio.wait_for(await client.ping(), TIMEOUT_S)
 
 
 async def test_a_client_whose_machine_is_gone_is_let_go(caplog: pytest.LogCaptureFixture) -> None:
@@ -478,28 +467,22 @@ async def test_no_token_gets_into_the_log_whatever_its_level(caplog: pytest.LogC
     assert not [record for record in ours if token in record.getMessage()]
 
 
-async def test_the_end_of_the_server_does_not_wait_for_silent_clients(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_end_of_the_server_waits_for_no_client_that_is_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with listening() as listener, upgraded(listener) as (reader, _):
+        await listener.close()
+        assert await read_to_end(reader)
     monkeypatch.setattr(listener_module, "CLOSE_TIMEOUT_S", 2 * TIMEOUT_S)
     async with listening() as listener, connected(listener.port, b"GET / HTTP/1.1\r\n"):
         await until(lambda: limiter_of(listener).open_count)
         await asyncio.wait_for(listener.close(), TIMEOUT_S)
 
 
-async def test_the_end_of_the_server_ends_a_client_that_does_not_listen() -> None:
-    async with listening() as listener, upgraded(listener) as (reader, _):
-        await listener.close()
-        assert await read_to_end(reader)
-
-
-async def test_an_answer_names_no_program_and_agrees_to_no_compression() -> None:
+async def test_an_answer_names_no_program_nor_compression_and_is_in_full_whatever_follows_its_request() -> None:
     async with listening() as listener:
         upgraded = await exchange(listener.port, request(*UPGRADE, "Sec-WebSocket-Extensions: permessage-deflate"))
         assert status(upgraded) == 101
         assert "Extensions" not in upgraded
         assert "Server:" not in upgraded + await exchange(listener.port, request())
-
-
-async def test_a_request_over_http_is_answered_in_full_whatever_follows_it() -> None:
     async with listening() as listener:
         for behind in (b"GET / HTTP/1.1\r\n\r\n", frame(b"{}")):
             answer = await exchange(listener.port, request(path="/nothing") + behind)
@@ -511,9 +494,7 @@ async def test_a_request_over_http_is_answered_in_full_whatever_follows_it() -> 
 
 @pytest.mark.usefixtures("impatient")
 @pytest.mark.parametrize("sent", [request(path="/nothing"), b"what\r\n\r\n"])
-async def test_a_client_that_stays_open_after_an_answer_is_disconnected_without_a_traceback(
-    sent: bytes, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_client_staying_after_an_answer_is_disconnected(sent: bytes, caplog: pytest.LogCaptureFixture) -> None:
     async with listening() as listener, connected(listener.port, sent) as (reader, _):
         assert (await read_to_end(reader)).count(b"HTTP/1.1 4") == 1
         await until_empty(listener)

@@ -79,14 +79,11 @@ def test_only_the_first_end_counts_and_nothing_is_heard_or_cancelled_afterwards(
     assert world.feedback == []
 
 
-def test_the_cancel_service_cancels_one_goal_by_its_id(world: World) -> None:
+def test_the_cancel_service_cancels_one_goal_and_a_late_listener_is_told_at_once(world: World) -> None:
     goals = [world.send() for _ in range(2)]
     answer = answered(world.graph, "/grip/_action/cancel_goal", SENDER, goal_info=goals[1].info)
     assert [goal.cancel_requested for goal in goals] == [False, True]
     assert len(answer.values["goals_canceling"]) == 1
-
-
-def test_a_late_listener_is_told_of_a_cancel_at_once(world: World) -> None:
     told: list[str] = []
     goal = world.send()
     goal.cancel()
@@ -185,7 +182,7 @@ def test_messages_are_complete(world: World) -> None:
     assert feedback["feedback"]["position"] == 1.0
 
 
-def test_an_ended_goal_is_told_for_a_while_and_one_that_was_never_taken_on_is_not(world: World) -> None:
+def test_the_newest_goals_that_were_taken_on_are_told_also_a_while_after_their_end(world: World) -> None:
     world.listen()
     world.send().fail("no", GoalStatus.UNKNOWN)
     assert world.statuses == []
@@ -196,10 +193,6 @@ def test_an_ended_goal_is_told_for_a_while_and_one_that_was_never_taken_on_is_no
     world.clock.advance(ENDED_KEPT_S / 2)
     world.send()
     assert world.statuses == [2, 2]
-
-
-def test_of_many_goals_the_newest_are_told(world: World) -> None:
-    world.listen()
     for _ in range(3 * MAX_PUBLISHED):
         world.send().finish(GoalStatus.SUCCEEDED, {})
     last = world.send()

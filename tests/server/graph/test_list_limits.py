@@ -43,9 +43,8 @@ FIELD = "request.items[].req.path_constraints.joint_constraints"
 ITEM_VALUES = 43
 
 
-@pytest.mark.parametrize(
-    ("limits", "item", "most", "sentence"),
-    [
+def test_a_list_beyond_its_limit_is_refused_with_field_limit_and_value() -> None:
+    for limits, item, most, sentence in (
         (ListLimits({ITEMS: 2}), {}, 2, "field request.items: wanted at most 2 elements in all, got 3"),
         # A limit is for all lists of the field together, and others count by the values that they stand for.
         (CONSTRAINTS, BLENDED, 1, f"field {FIELD}: wanted at most 3 elements in all, got 4"),
@@ -55,15 +54,11 @@ ITEM_VALUES = 43
             10,
             "field request.items: wanted at most 430 values in all lists, as they are complete, got more",
         ),
-    ],
-)
-def test_a_list_beyond_its_limit_is_refused_with_field_limit_and_value(
-    limits: ListLimits, item: dict[str, Any], most: int, sentence: str
-) -> None:
-    assert refusal(limits, {"request": {"items": [item] * most}}) == ""
-    assert refusal(limits, {"request": {"items": [item] * (most + 1)}}) == sentence
-    # In order of declaration, fields count as well.
-    assert "request.items" in refusal(limits, [{"items": [item] * (most + 1)}])
+    ):
+        assert refusal(limits, {"request": {"items": [item] * most}}) == ""
+        assert refusal(limits, {"request": {"items": [item] * (most + 1)}}) == sentence
+        # In order of declaration, fields count as well.
+        assert "request.items" in refusal(limits, [{"items": [item] * (most + 1)}])
 
 
 @pytest.mark.parametrize("count", [MAX_VALUES, MAX_VALUES + 1])
@@ -72,11 +67,9 @@ def test_numbers_and_texts_count_as_values(count: int) -> None:
     assert bool(refused) == (count > MAX_VALUES)
 
 
-@pytest.mark.parametrize(
-    "message", [None, 3, "a", {"request": 3}, {"request": {"items": {"a": 1}}}, {"other": [{}] * 9}]
-)
-def test_what_does_not_fit_its_type_is_left_to_the_completion(message: object) -> None:
-    assert refusal(ListLimits({ITEMS: 2}), message) == ""
+def test_what_does_not_fit_its_type_is_left_to_the_completion() -> None:
+    for message in (None, 3, "a", {"request": 3}, {"request": {"items": {"a": 1}}}, {"other": [{}] * 9}):
+        assert refusal(ListLimits({ITEMS: 2}), message) == ""
 
 
 def test_a_message_of_a_client_is_counted_once() -> None:
@@ -96,7 +89,7 @@ def graph() -> Graph:
     return made
 
 
-async def test_a_request_with_too_long_a_list_is_refused_before_it_is_completed(graph: Graph) -> None:
+async def test_a_request_or_a_goal_with_too_long_a_list_is_refused_before_it_is_completed(graph: Graph) -> None:
     graph.services.offer(SERVER, "/plan", SEQUENCE, lambda _request: {}, limits=ListLimits({ITEMS: 2}))
     response = answered(graph, "/plan", CLIENT, request={"items": [{}] * 3})
     assert not response.ok
@@ -105,9 +98,6 @@ async def test_a_request_with_too_long_a_list_is_refused_before_it_is_completed(
     graph.services.offer(SERVER, "/other", SEQUENCE, lambda _request: {})
     assert not answered(graph, "/other", CLIENT, request={"items": [{}] * 5000}).ok
     assert graph.message_types.completed == 0
-
-
-async def test_a_goal_with_too_long_a_list_is_refused_before_it_is_completed(graph: Graph) -> None:
     type_name = "moveit_msgs/action/MoveGroupSequence"
     graph.actions.offer(SERVER, "/move", type_name, lambda _goal: None, ListLimits({ITEMS: 2}))
     results: list[Result] = []

@@ -38,32 +38,25 @@ def test_a_small_message_of_a_client_is_completed_at_once_and_any_of_the_server_
     assert len(STRICT.complete(POSES, {"poses": [{}] * FREE_VALUES})["poses"]) == FREE_VALUES
 
 
-@pytest.mark.parametrize(
-    "received",
-    [
+def test_a_large_message_of_a_client_is_completed_in_the_background_first() -> None:
+    for received in (
         ReceivedMessage({"poses": [{}] * (VALUES_AT_ONCE // 7 + 1)}, 2000),
         ReceivedMessage({"poses": []}, BYTES_AT_ONCE + 1),
         ReceivedMessage({"poses": []}, ROS1_BYTES_AT_ONCE + 1, "ros1"),
-    ],
-    ids=["many values", "many bytes", "to be translated"],
-)
-def test_a_large_message_of_a_client_is_completed_in_the_background_first(received: ReceivedMessage) -> None:
-    with pytest.raises(PostponedError) as postponed:
-        STRICT.complete(POSES, received)
-    assert postponed.value.message is received
-    received.complete(STRICT, postponed.value.type_name)
-    assert STRICT.complete(POSES, received) is STRICT.complete(POSES, received)
-    assert received.cost_bytes >= LARGE_BYTES
+    ):
+        with pytest.raises(PostponedError) as postponed:
+            STRICT.complete(POSES, received)
+        assert postponed.value.message is received
+        received.complete(STRICT, postponed.value.type_name)
+        assert STRICT.complete(POSES, received) is STRICT.complete(POSES, received)
+        assert received.cost_bytes >= LARGE_BYTES
 
 
-def test_a_message_that_was_completed_for_another_type_is_not_taken() -> None:
+def test_a_message_completed_for_another_type_is_not_taken_and_an_error_is_raised_when_it_is_used() -> None:
     received = ReceivedMessage({"poses": []}, BYTES_AT_ONCE + 1)
     received.complete(STRICT, POSES)
     with pytest.raises(PostponedError):
         STRICT.complete("geometry_msgs/msg/Polygon", received)
-
-
-def test_an_error_in_the_background_is_raised_when_the_message_is_used() -> None:
     received = ReceivedMessage({"poses": [{"position": 1}]}, BYTES_AT_ONCE + 1)
     received.complete(STRICT, POSES)
     with pytest.raises(MessageError, match="position"):

@@ -51,9 +51,7 @@ REFUSED = Response(ok=True, values={"success": False, "message": "no power"})
 @pytest.mark.parametrize(
     ("type_name", "refusal"), [(SET_BOOL, REFUSED), ("std_srvs/Empty", Response(ok=False, values="no power"))]
 )
-async def test_a_refusal_is_in_the_response_where_that_has_its_fields_else_a_failure(
-    services: Services, type_name: str, refusal: Response
-) -> None:
+async def test_a_refusal_is_in_the_response_or_a_failure(services: Services, type_name: str, refusal: Response) -> None:
     async def switch(_request: dict[str, Any]) -> dict[str, Any]:
         await asyncio.sleep(0)
         raise ServiceError("no power")
@@ -115,9 +113,7 @@ def test_every_call_ends_in_time(services: Services, clock: FakeClock, timeout_s
     assert f"did not answer in {bound_s:g} s" in responses[0].values
 
 
-def test_a_call_that_has_ended_or_whose_caller_leaves_leaves_nothing_behind(
-    services: Services, clock: FakeClock, provided: list[Call]
-) -> None:
+def test_an_ended_call_leaves_nothing_behind(services: Services, clock: FakeClock, provided: list[Call]) -> None:
     ask(services)
     provided[0].succeed(ON)
     ask(services)

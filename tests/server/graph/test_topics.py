@@ -36,19 +36,22 @@ def graph(clock: FakeClock) -> Graph:
     return Graph(REGISTRY, clock, wall_clock=lambda: 12.5)
 
 
-def test_a_message_that_is_only_latched_reaches_late_subscribers_alone(graph: Graph) -> None:
+def test_what_is_latched_reaches_late_subscribers_alone_and_what_is_told_one_subscriber(graph: Graph) -> None:
     graph.advertise(TALKER, "/t", "std_msgs/String")
     early = listen(graph, "/t")
     graph.latch("/t", {"data": "everything"})
     graph.publish(TALKER, "/t", {"data": "a change"})
     assert early == [{"data": "a change"}]
     assert listen(graph, "/t") == [{"data": "everything"}]
+    graph.advertise(TALKER, "/a", "std_msgs/String")
+    one, other = listen(graph, "/a", node=LISTENER), listen(graph, "/a")
+    graph.tell(LISTENER, "/a", {"data": "for you"})
+    graph.tell(Node("nobody"), "/a", {"data": "for nobody"})
+    assert (one, other) == ([{"data": "for you"}], [])
 
 
 @pytest.mark.parametrize("timeout_s", [UNREGISTER_TIMEOUT_S, 1.0])
-def test_a_topic_and_its_latched_message_outlive_their_publisher_for_a_while(
-    clock: FakeClock, timeout_s: float
-) -> None:
+def test_a_topic_and_its_latched_message_outlive_their_publisher_a_while(clock: FakeClock, timeout_s: float) -> None:
     graph, other = Graph(REGISTRY, clock, unregister_timeout_s=timeout_s), Node("other")
     graph.advertise(TALKER, "/t", "std_msgs/String", latch=True)
     graph.publish(TALKER, "/t", {"data": "old"})
@@ -220,14 +223,6 @@ def test_a_watcher_gets_the_messages_of_every_topic_before_their_subscribers(gra
     graph.unwatch(watcher)
     graph.publish(TALKER, "/a", {})
     assert seen == [("/a", False, 0), ("/b", True, 1)]
-
-
-def test_one_subscriber_alone_is_told_and_a_node_that_has_not_subscribed_is_not(graph: Graph) -> None:
-    graph.advertise(TALKER, "/a", "std_msgs/String")
-    one, other = listen(graph, "/a", node=LISTENER), listen(graph, "/a")
-    graph.tell(LISTENER, "/a", {"data": "for you"})
-    graph.tell(Node("nobody"), "/a", {"data": "for nobody"})
-    assert (one, other) == ([{"data": "for you"}], [])
 
 
 def test_every_change_of_who_uses_a_topic_counts_and_a_message_does_not() -> None:

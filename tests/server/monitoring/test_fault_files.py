@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from harness.clients import ArmClient, arm_client, values_of
+from harness.clients import arm_client, values_of
 from harness.server import ServerOnBus, server_on_bus
 from robot import logs
 from robot.faults import Fault, FaultCode
@@ -95,12 +95,6 @@ async def test_the_service_tells_the_lines_with_time_level_and_process(ring: Log
     told = "1970-01-01T00:00:01.500+00:00 INFO    robot.control.loop armbridge.arm: the arm holds"
     assert answered(graph, SERVICE).values == {"success": True, "message": told}
     assert shown(line("the arm holds", 1.5)) == told
-
-
-async def test_a_running_server_keeps_the_lines_of_its_arm_process(client: ArmClient) -> None:
-    told = (await client.call(SERVICE))["message"]
-    assert "robot.control.loop armbridge.arm: " in told
-    assert "armbridge is ready: " in told
 
 
 START_S = 1_000_000.0

@@ -51,24 +51,10 @@ NOT_READY: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-def test_an_obstacle_to_goals_is_a_reason_to_be_unready(sources: Sources) -> None:
+def test_an_obstacle_to_goals_is_a_reason_to_be_unready_and_a_harmless_condition_a_warning(sources: Sources) -> None:
     for changes, reason in NOT_READY:
         health = check_health(replace(sources, **changes))
         assert (health.live, health.ready, health.reasons) == (True, False, (reason,)), changes
-
-
-def test_an_arm_process_that_is_silent_for_long_makes_the_server_dead_unless_it_starts_or_stops(
-    sources: Sources,
-) -> None:
-    sources.arm = WatchedArm(arm_state(), ARM_SILENT_S + 0.1)
-    health = check_health(sources)
-    reason = "the arm process has been silent for more than 10 s"
-    assert (health.live, health.ready, health.reasons) == (False, False, (reason,))
-    for changes in ({"started": False}, {"stopping": True}):
-        assert check_health(replace(sources, **changes)).live, changes
-
-
-def test_a_harmless_condition_is_a_warning(sources: Sources) -> None:
     cases: list[tuple[dict[str, Any], str]] = [
         ({"arm": WatchedArm(arm_state(Mode.RELAXED))}, "relaxed"),
         ({"recorder": WatchedRecorder(ended=True)}, "the recording has ended"),
@@ -80,17 +66,23 @@ def test_a_harmless_condition_is_a_warning(sources: Sources) -> None:
         assert (health.ready, words in warning) == (True, True), warning
 
 
-def test_strangers_hear_of_no_device_file_or_address(sources: Sources) -> None:
-    sources.arm = WatchedArm(arm_state(Mode.DISCONNECTED, FaultCode.BUS_LOST, "no /dev/ttySECRET"))
-    sources.planners = WatchedPlanners(load_failure="cannot read /home/SECRET")
-    assert b"SECRET" not in check_health(sources).response(good=False).body
+def test_a_long_silence_of_the_arm_process_makes_the_server_dead_unless_it_starts_or_stops(sources: Sources) -> None:
+    sources.arm = WatchedArm(arm_state(), ARM_SILENT_S + 0.1)
+    health = check_health(sources)
+    reason = "the arm process has been silent for more than 10 s"
+    assert (health.live, health.ready, health.reasons) == (False, False, (reason,))
+    for changes in ({"started": False}, {"stopping": True}):
+        assert check_health(replace(sources, **changes)).live, changes
 
 
-def test_the_answer_over_http_has_the_status_that_monitors_look_at(sources: Sources) -> None:
+def test_the_answer_over_http_has_the_status_for_monitors_and_no_device_file_or_address(sources: Sources) -> None:
     health = check_health(replace(sources, started=False))
     assert [int(health.response(good=good).status) for good in (True, False)] == [200, 503]
     told = {"live": True, "ready": False, "reasons": ["the server is starting"], "warnings": []}
     assert json.loads(health.response(good=False).body) == told
+    sources.arm = WatchedArm(arm_state(Mode.DISCONNECTED, FaultCode.BUS_LOST, "no /dev/ttySECRET"))
+    sources.planners = WatchedPlanners(load_failure="cannot read /home/SECRET")
+    assert b"SECRET" not in check_health(sources).response(good=False).body
 
 
 def test_children_are_those_that_run() -> None:
@@ -163,17 +155,7 @@ def test_settings_have_neither_tokens_nor_the_names_of_their_owners(report: Repo
     assert json.loads(told)["sources"] == {"access.token": "file"}
 
 
-def test_what_fails_is_noted_and_the_rest_is_there(report: Report) -> None:
-    with report.part("bus"):
-        raise LookupError
-    with report.part("arm"):
-        report.add("arm/robot.toml", "name = 'x'")
-    told = members(report)
-    assert told[PROBLEMS] == "bus: LookupError\n"
-    assert "arm/robot.toml" in told
-
-
-def test_the_machine_is_told_by_versions_packages_and_ports(report: Report) -> None:
+def test_the_machine_is_told_by_versions_packages_and_ports_and_what_fails_is_noted(report: Report) -> None:
     add_machine(report)
     told = members(report)
     assert PROBLEMS not in told
@@ -182,6 +164,13 @@ def test_the_machine_is_told_by_versions_packages_and_ports(report: Report) -> N
     assert versions["system"]
     assert "numpy==" in told["packages.txt"]
     assert isinstance(json.loads(told["ports.json"]), list)
+    with report.part("bus"):
+        raise LookupError
+    with report.part("arm"):
+        report.add("arm/robot.toml", "name = 'x'")
+    told = members(report)
+    assert told[PROBLEMS] == "bus: LookupError\n"
+    assert "arm/robot.toml" in told
 
 
 def test_the_newest_fault_files_are_included(report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -245,13 +234,10 @@ def test_one_that_does_not_read_holds_nobody_up(notifier: SystemdNotifier) -> No
     notifier.notify_watchdog()
 
 
-def test_without_one_nothing_is_told() -> None:
+def test_without_one_nothing_is_told_and_a_lost_one_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     notifier = SystemdNotifier.from_environment({}, 7)
     notifier.notify_ready("ready")
     assert notifier.watchdog_s == 0.0
-
-
-def test_an_unreachable_notifier_is_logged_and_passed_over(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.WARNING)
     notifier = SystemdNotifier(str(tmp_path / "nobody"))
     notifier.notify_ready("ready")

@@ -127,16 +127,13 @@ def counted(*goals: tuple[str, int, Performed]) -> dict[tuple[str, ...], float]:
     return samples(counters.collect())
 
 
-def test_answers_are_counted_by_where_their_goals_came_from_and_how_they_ended() -> None:
+def test_answers_are_counted_by_source_and_code_and_what_was_planned_and_moved_is_timed() -> None:
     found = counted(("/a", 1, NOTHING), ("/a", 1, NOTHING), ("/a", -1, NOTHING), ("/b", 1, NOTHING))
     assert {tuple(labels): value for (name, *labels), value in found.items() if name == "armbridge_goals_total"} == {
         ("/a", "SUCCESS"): 2,
         ("/a", "PLANNING_FAILED"): 1,
         ("/b", "SUCCESS"): 1,
     }
-
-
-def test_only_what_was_planned_and_moved_is_timed() -> None:
     moved, planned = Performed({}, executed=MOTION), Performed({}, planning_time_s=0.3)
     found = counted(("/a", 99999, NOTHING), ("/a", 1, moved), ("/a", 1, planned))
     for name, value_s in (("planning", 0.3), ("motion", 3.0)):
@@ -348,13 +345,10 @@ def monitored(notifier: Listening, *found: Health, times_s: Iterable[float]) -> 
     return notifier.heard
 
 
-def test_signs_of_life_come_well_before_they_are_missed_and_never_from_a_dead_server() -> None:
+def test_signs_of_life_come_in_time_from_a_server_that_lives_and_the_status_when_it_changes() -> None:
     heard = monitored(Listening(watchdog_s=3.0), WELL, times_s=(100.0 + 0.25 * tick for tick in range(13)))
     assert heard == ["ready", *["alive"] * (1 + int(parts.WATCHDOG_NOTIFICATIONS))]
     assert monitored(Listening(), DEAD, times_s=range(100, 130)) == ["the arm process has been silent; and so on"]
-
-
-def test_the_status_is_told_when_it_changes_and_no_sign_of_life_where_nobody_waits_for_it() -> None:
     heard = monitored(Listening(watchdog_s=0.0), WELL, WELL, DEAD, DEAD, WELL, times_s=range(5))
     assert heard == ["ready", "the arm process has been silent; and so on", "ready"]
 

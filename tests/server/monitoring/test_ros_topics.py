@@ -57,7 +57,7 @@ def statuses(
     return told
 
 
-def test_a_sound_arm_is_ok_with_the_figures_of_bus_loop_and_servos() -> None:
+def test_a_sound_arm_is_ok_with_the_figures_of_bus_loop_and_servos_and_an_ideal_one_with_fewer() -> None:
     arm, servo = statuses(health=replace(HEALTH, memory_locked=True))
     assert (arm["level"], servo["level"], servo["hardware_id"]) == (0, 0, "servo 3")
     told = {"loop_lateness_ms": "p50 0.100, p99 0.200, max 0.300", "bus_sent": "7", "bus_timeouts": "1"}
@@ -65,9 +65,6 @@ def test_a_sound_arm_is_ok_with_the_figures_of_bus_loop_and_servos() -> None:
     assert values_of(arm) | told == values_of(arm)
     assert values_of(statuses()[0])["memory_locked"] == "false"
     assert (values_of(servo)["temperature_c"], values_of(servo)["torque"]) == ("31", "on")
-
-
-def test_an_ideal_joint_has_neither_temperature_nor_bus() -> None:
     ideal = replace(SERVO, hardware_id="ideal joint", temperature_c=NAN, voltage_v=NAN, current_a=NAN, load=0.0)
     arm, joint = statuses(health=replace(HEALTH, port="ideal", joints=(ideal,), bus=None))
     assert (arm["level"], joint["level"], joint["hardware_id"]) == (0, 0, "ideal joint")
@@ -110,15 +107,12 @@ def story(joint: JointHealth = SERVO, state: ArmState = STATE, **fields: Any) ->
     return told
 
 
-def test_a_joint_tells_its_errors_by_kind_and_what_to_do_about_each() -> None:
+def test_a_joint_tells_its_errors_by_kind_with_advice_and_its_registers_with_what_should_be_else() -> None:
     told = story(replace(SERVO, errors={"overload": 2, "servo_rebooted": 1}))
     counted = {key: value for key, value in told.items() if key.startswith("error/")}
     assert counted == {"error/silent_cycles": "2", "error/overload": "2", "error/servo_rebooted": "1"}
     assert told["advice"].count("overload: ") == told["advice"].count("servo_rebooted: ") == 1
     assert REMEDIES[FaultCode.OVERLOAD] in told["advice"]
-
-
-def test_a_joint_tells_the_registers_of_its_servo_and_what_a_setting_should_be_that_differs() -> None:
     told = story(replace(SERVO, registers={"P_GAIN": 16, "HOMING_OFFSET": -12}, expected={"P_GAIN": 32}))
     registers = {key: value for key, value in told.items() if key.startswith(("register/", "expected/"))}
     assert registers == {"register/P_GAIN": "16", "register/HOMING_OFFSET": "-12", "expected/P_GAIN": "32"}
@@ -136,21 +130,19 @@ def test_an_alert_of_the_moment_has_its_advice() -> None:
         assert "advice" not in story(replace(SERVO, silent_cycles=lost), bus=BusCounters(sent=sent)), lost
 
 
-def test_the_joint_of_a_fault_has_its_remedy_once() -> None:
+def test_the_joint_of_a_fault_has_its_remedy_once_and_a_simulated_servo_the_advice_for_simulated_ones() -> None:
     fault = Fault(FaultCode.OVERLOAD, "joint elbow_flex is overloaded", "elbow_flex")
     overloaded = replace(SERVO, status=int(StatusFlag.OVERLOAD), errors={"overload": 1})
     assert story(overloaded, replace(STATE, mode=Mode.FAULT, fault=fault))["advice"] == str(fault)
-
-
-def test_a_simulated_servo_has_the_advice_for_simulated_ones() -> None:
     told = story(replace(SERVO, errors={"overload": 1}), port="simulated")
     assert told["advice"].endswith(SIMULATED_REMEDIES[FaultCode.OVERLOAD])
 
 
-def test_what_says_nothing_more_is_stale() -> None:
+def test_what_says_nothing_more_is_stale_and_before_the_first_report_there_is_the_arm_alone() -> None:
     assert statuses(replace(STATE, mode=Mode.DISCONNECTED))[1]["level"] == 3
     arm = statuses(state_age_s=4.0)[0]
     assert (arm["level"], arm["message"]) == (3, "the last state of the arm is 4.0 s old")
+    assert [status["name"] for status in statuses(health=None)] == ["arm"]
 
 
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
@@ -165,10 +157,6 @@ def test_an_arm_is_as_old_as_a_clock_says_that_is_never_set(jump_s: float, monke
     now_s += 4.0
     diagnostics.publish()
     assert [[each["level"] for each in message["status"]] for message in heard] == [[0, 0], [3, 3]]
-
-
-def test_before_the_first_report_there_is_the_arm_alone() -> None:
-    assert [status["name"] for status in statuses(health=None)] == ["arm"]
 
 
 pytestmark = pytest.mark.usefixtures("levels_are_put_back")
@@ -267,12 +255,8 @@ async def test_loggers_without_end_are_refused(graph: Graph) -> None:
     assert f"{changed.MAX_CHANGED_LOGGERS} loggers" in results[-1]["reason"]
 
 
-@pytest.mark.parametrize(
-    ("service", "field", "entry"), [(GET_LEVELS, "names", "armbridge"), (SET_LEVELS, "levels", {})]
-)
-async def test_more_than_all_loggers_are_refused_at_once(graph: Graph, service: str, field: str, entry: object) -> None:
-    response = answered(graph, service, **{field: [entry] * (MAX_REQUESTED + 1)})
-    assert (response.ok, response.values) == (
-        False,
-        f"Service {service}: field {field}: wanted at most {MAX_REQUESTED} elements in all, got {MAX_REQUESTED + 1}",
-    )
+async def test_more_than_all_loggers_are_refused_at_once(graph: Graph) -> None:
+    for service, field, entry in ((GET_LEVELS, "names", "armbridge"), (SET_LEVELS, "levels", {})):
+        response = answered(graph, service, **{field: [entry] * (MAX_REQUESTED + 1)})
+        wanted = f"wanted at most {MAX_REQUESTED} elements in all, got {MAX_REQUESTED + 1}"
+        assert (response.ok, response.values) == (False, f"Service {service}: field {field}: {wanted}")

@@ -3,7 +3,6 @@ from typing import Any
 
 import pytest
 
-from harness.clients import ArmClient
 from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.messages import ArmState, Mode
 from server.graph.topics import Graph
@@ -52,23 +51,17 @@ async def test_the_history_of_a_servo_has_its_samples_oldest_first_with_their_ag
     assert world.asked("shoulder_pan")["temperature_c"] == [31.0, 31.0]
 
 
-async def test_samples_of_more_than_ten_minutes_ago_are_left_out(world: World) -> None:
+async def test_samples_that_are_old_too_many_or_not_measured_are_left_out(world: World) -> None:
+    world.report(temperature_c=NAN, current_a=NAN)
+    told = world.asked()
+    assert (told["temperature_c"], told["current_a"], len(told["load"])) == ([], [], 1)
     world.report(temperature_c=40.0)
     world.report(after_s=601.0, temperature_c=41.0)
     assert world.asked()["temperature_c"] == [41.0]
-
-
-async def test_reports_without_end_do_not_fill_the_memory(world: World) -> None:
     for number in range(MAX_SAMPLES + 50):
         world.report(after_s=0.5, temperature_c=float(number))
     told = world.asked()["temperature_c"]
     assert (len(told), told[0], told[-1]) == (MAX_SAMPLES, 50.0, MAX_SAMPLES + 49.0)
-
-
-async def test_what_the_hardware_does_not_measure_is_empty(world: World) -> None:
-    world.report(temperature_c=NAN, current_a=NAN)
-    told = world.asked()
-    assert (told["temperature_c"], told["current_a"], len(told["load"])) == ([], [], 1)
 
 
 async def test_an_unknown_joint_is_refused_with_those_that_have_reported(world: World) -> None:
@@ -81,13 +74,17 @@ async def test_an_unknown_joint_is_refused_with_those_that_have_reported(world: 
     assert [told["message"] for told in refusals[1]] == [f"{known} ''", f"{known} 'elbow'"]
 
 
-async def test_a_warning_is_an_event_when_it_comes_and_when_it_goes(world: World) -> None:
+async def test_a_warning_is_an_event_when_it_comes_and_goes_and_events_do_not_fill_the_memory(world: World) -> None:
     for degrees in (55, 56, 57):
         world.report(warnings=(ServoWarning(ServoAlert.WARM, f"warm: {degrees} degC"),))
     world.report()
     world.now_s += 10.0
     assert world.asked()["events"] == ["13 s ago: warning: warm: 55 degC", "10 s ago: no longer: warm: 57 degC"]
     assert world.asked("shoulder_pan")["events"] == []
+    for number in range(MAX_EVENTS):
+        world.report(after_s=0.1, warnings=(ServoWarning(ServoAlert.WARM, f"warm: {number} degC"),))
+        world.report(after_s=0.1)
+    assert len(world.asked()["events"]) == MAX_EVENTS
 
 
 async def test_a_fault_of_a_joint_and_its_reset_are_events_of_that_joint(world: World) -> None:
@@ -118,18 +115,3 @@ async def test_a_lost_arm_is_an_event_of_every_joint(world: World) -> None:
         world.history.take_state(state)
     expected = ["0 s ago: disconnected: the port is gone", "0 s ago: connected"]
     assert [world.asked(joint)["events"] for joint in JOINTS] == [expected, expected]
-
-
-async def test_events_without_end_do_not_fill_the_memory(world: World) -> None:
-    for number in range(MAX_EVENTS):
-        world.report(after_s=0.1, warnings=(ServoWarning(ServoAlert.WARM, f"warm: {number} degC"),))
-        world.report(after_s=0.1)
-    assert len(world.asked()["events"]) == MAX_EVENTS
-
-
-async def test_a_client_asks_a_running_server_for_the_history_of_a_servo(client: ArmClient) -> None:
-    await client.until("/diagnostics", lambda arrays: len(arrays[-1]["status"]) > 1)
-    told = await client.call(SERVICE, joint="elbow_flex")
-    assert told["success"], told
-    assert len(told["temperature_c"]) == len(told["time_s"]) > 0
-    assert all(0.0 < volts < 10.0 for volts in told["voltage_v"])

@@ -18,7 +18,6 @@ from server.moveit.named_states import (
     NAMED_STATES_TOPIC,
     NamedStates,
     NamedStatesServices,
-    Positions,
     States,
     default_path,
 )
@@ -81,29 +80,22 @@ async def test_a_state_of_the_description_is_neither_overwritten_nor_changed(sta
     assert states.saved == {"mine": BENT}
 
 
-@pytest.mark.parametrize(
-    ("name", "positions_rad", "words"),
-    [
+async def test_an_invalid_name_or_state_or_one_too_many_is_refused(states: NamedStates, monkeypatch: Any) -> None:
+    monkeypatch.setattr(named_states, "MAX_STATES", 1)
+    await states.save("a", BENT)
+    await states.save("A", BENT)
+    for name, positions_rad, words in (
         *((name, BENT, f"1 to {MAX_NAME_LENGTH}") for name in ("", "   ", "a" * (MAX_NAME_LENGTH + 1), "a\x07b")),
         ("mine", {}, "no joint"),
         ("mine", {"knee": 0.1}, "no joint 'knee'"),
         ("mine", {"elbow_flex": math.nan}, "elbow_flex .* not nan"),
         ("one more", BENT, "the limit is 1"),
-    ],
-)
-async def test_an_invalid_name_or_state_or_one_more_than_the_limit_is_refused(
-    states: NamedStates, monkeypatch: pytest.MonkeyPatch, name: str, positions_rad: Positions, words: str
-) -> None:
-    monkeypatch.setattr(named_states, "MAX_STATES", 1)
-    await states.save("a", BENT)
-    await states.save("A", BENT)
-    with pytest.raises(ServiceError, match=words):
-        await states.save(name, positions_rad)
+    ):
+        with pytest.raises(ServiceError, match=words):
+            await states.save(name, positions_rad)
 
 
-async def test_two_servers_and_those_of_another_arm_keep_what_the_other_has_saved_and_know_what_it_has_deleted(
-    path: Path,
-) -> None:
+async def test_two_servers_keep_what_the_other_saved_also_of_another_arm_and_know_what_it_deleted(path: Path) -> None:
     with files.locked(path):
         files.replace(path, b'{"states": {"its": {"knee": 0.1}}}')
     one, other = opened(path), opened(path)
@@ -127,9 +119,7 @@ async def test_a_file_of_another_process_is_refused_with_its_name(path: Path, mo
     await opened(path).save("mine", BENT)
 
 
-async def test_a_file_that_cannot_be_read_or_written_is_an_error_and_the_old_one_stays(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_a_file_that_cannot_be_read_or_written_is_an_error(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     states = opened(path)
     await states.save("mine", BENT)
 
@@ -223,18 +213,15 @@ async def test_states_are_listed_by_pattern_renamed_and_deleted(office: Office) 
         assert (await office.call("/delete_robot_state", name="rest two")).ok is exists
 
 
-@pytest.mark.parametrize(
-    ("service", "request_", "sentence"),
-    [
+async def test_what_cannot_be_done_is_refused(office: Office) -> None:
+    for service, request_, sentence in (
         ("/save_robot_state", {"name": "mine"}, "joint positions unknown"),
         ("/save_robot_state", {"name": "mine", "state": ONE_NAME}, "1 names and 0 positions"),
         *[("/list_robot_states", {"regex": pattern}, "regex: ") for pattern in ["[", "(a|a)*", "a*a*a*", "a" * 101]],
         ("/list_robot_states", {"robot": "panda"}, "'so101'"),
         ("/get_robot_state", {"name": "nowhere"}, "extended, home"),
         ("/delete_robot_state", {"name": "nowhere"}, "extended, home"),
-    ],
-)
-async def test_what_cannot_be_done_is_refused(office: Office, service: str, request_: Any, sentence: str) -> None:
-    answer = await office.call(service, **request_)
-    assert not answer.ok
-    assert sentence in answer.values
+    ):
+        answer = await office.call(service, **request_)
+        assert not answer.ok, service
+        assert sentence in answer.values

@@ -128,14 +128,11 @@ def played_by_arm(names: list[str], *points: tuple[int, list[float]]) -> Traject
     return external_motion(read, ROBOT).trajectory(HELD, 0.0, None)
 
 
-def test_joints_that_are_not_named_stay_where_the_arm_holds_them() -> None:
+def test_joints_that_are_not_named_stay_where_they_are_and_joints_of_several_groups_are_refused() -> None:
     played = played_by_arm(["elbow_flex", "shoulder_pan"], (2, [0.5, -0.5]))
     assert played.joint_names == ROBOT.groups["arm"].joints
     ends = dict(zip(played.joint_names, played.positions_rad[-1].tolist(), strict=True))
     assert ends == {**{name: HELD[name] for name in played.joint_names}, "elbow_flex": 0.5, "shoulder_pan": -0.5}
     assert played.positions_rad[0].tolist() == [HELD[name] for name in played.joint_names]
-
-
-def test_joints_of_several_groups_are_refused_with_the_groups() -> None:
     with pytest.raises(RefusedError, match="not all of one group; the groups are arm: "):
         played_by_arm(["elbow_flex", "gripper"], (2, [0.5, 0.5]))

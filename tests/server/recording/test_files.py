@@ -128,9 +128,7 @@ def test_latched_messages_begin_every_file_up_to_a_limit(tmp_path: Path, monkeyp
     assert topics(tmp_path / "run_1.mcap") == ["/small", "/picture"]
 
 
-def test_a_file_with_all_the_channels_that_it_can_number_is_followed_by_the_next(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_with_all_its_channels_is_followed_by_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "MAX_CHANNELS", 3)
     record(tmp_path / "run.mcap", [text(number, f"/t{number % 5}") for number in range(7)])
     recorded = [recorded_messages(tmp_path / name) for name in ("run.mcap", "run_1.mcap", "run_2.mcap")]
@@ -163,25 +161,19 @@ def test_the_numbers_of_older_releases_are_understood() -> None:
     assert [is_latched({QOS_KEY: f"{qos}{number}\n"}) for number in (1, 2)] == [True, False]
 
 
-@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo, lambda path: path.symlink_to("/no/such/file")])
-def test_a_path_that_is_no_regular_file_is_refused(make: Callable[[Path], object], tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    make(path)
-    with pytest.raises(ConfigurationError, match=rf"recording\.file: {path} must be a regular file or not exist"):
-        check_path(path)
-
-
-def test_a_path_of_a_file_a_link_to_one_or_of_nothing_is_taken_and_one_in_no_folder_is_refused(tmp_path: Path) -> None:
+def test_a_path_of_no_regular_file_in_no_folder_or_too_long_is_refused_and_others_taken(tmp_path: Path) -> None:
     (tmp_path / "file.mcap").touch()
     (tmp_path / "link.mcap").symlink_to(tmp_path / "file.mcap")
     for name in ("file.mcap", "link.mcap", "nothing.mcap"):
         check_path(tmp_path / name)
+    made: tuple[Callable[[Path], object], ...] = Path.mkdir, os.mkfifo, lambda path: path.symlink_to("/no/such/file")
+    for number, make in enumerate(made):
+        make(path := tmp_path / str(number))
+        with pytest.raises(ConfigurationError, match=rf"recording\.file: {path} must be a regular file or not exist"):
+            check_path(path)
     for folder in ("file.mcap", "no"):
         words = f"cannot be written: there is no writable folder .*/{folder}"
         with pytest.raises(ConfigurationError, match=rf"{folder}/run\.mcap {words}"):
             check_path(tmp_path / folder / "run.mcap")
-
-
-def test_a_path_that_cannot_be_looked_at_is_refused_by_its_setting(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"recording\.file: .* cannot be used: File name too long"):
         check_path(tmp_path / ("x" * 300))

@@ -148,15 +148,14 @@ async def test_messages_are_published_in_order_and_at_their_rate(tmp_path: Path)
     assert np.array(played.times_s) - played.times_s[0] == pytest.approx([0.0, 0.05, 0.15])
 
 
-async def test_a_latched_message_is_latched_again(tmp_path: Path) -> None:
+async def test_what_was_latched_is_so_again_and_what_is_unreadable_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     played = Player(tmp_path, [text(7)._replace(latched=True)])
     await played.player.play()
     assert [published.msg for published in played.graph.subscribe(Node("late"), "/t", None, Subscriber(print))] == [
         {"data": "7"}
     ]
-
-
-async def test_an_unreadable_message_is_told_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     broken = [text(number)._replace(octets=b"\x00\x01\x00\x00\xff") for number in (1, 2)]
     played = Player(tmp_path, [text(0), *broken, text(3)])
     await played.player.play()
@@ -164,9 +163,7 @@ async def test_an_unreadable_message_is_told_once(tmp_path: Path, caplog: pytest
     assert len([line for line in caplog.messages if "/t: a message of std_msgs/msg/String cannot be read" in line]) == 1
 
 
-async def test_topics_of_the_server_unknown_types_and_second_types_are_left_out_and_told(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_topics_that_cannot_be_offered_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     own = entry("/client_count", "std_msgs/Int32", {"data": 9})
     played = Player(tmp_path, [own, text(1), entry("/t", "std_msgs/Bool", {}, 2)])
     played.player.advertise([RecordedTopic("/own", "my_msgs/msg/Thing", False)])

@@ -227,7 +227,10 @@ async def test_a_check_tells_how_long_a_replay_would_take_at_a_speed_or_what_it_
     assert "crate" in said
 
 
-async def test_one_motion_is_recorded_at_a_time_whoever_asks(lesson: Lesson) -> None:
+async def test_a_recording_without_a_place_or_beside_another_does_not_begin(lesson: Lesson) -> None:
+    for place, says in ({"name": "../x"}, "name: must be"), ({"name": "a", "group": "leg"}, "gripper, not 'leg'"):
+        assert says in await lesson.refused("begin", **place)
+    assert not any(state["recording"] for state in lesson.states)
     both = await asyncio.gather(*(lesson.call("/teach/begin", name=name) for name in ("a", "b")))
     assert sorted(answer["success"] for answer in both) == [False, True]
     assert "is being recorded" in next(answer["message"] for answer in both if not answer["success"])
@@ -295,14 +298,6 @@ async def test_a_motion_comes_back_edited_from_a_client_and_motions_are_renamed_
     assert "knee" in await lesson.refused("save", name="mine", trajectory=trajectory)
 
 
-@pytest.mark.parametrize(
-    ("request_", "says"), [({"name": "../x"}, "name: must be"), ({"name": "a", "group": "leg"}, "gripper, not 'leg'")]
-)
-async def test_a_recording_without_a_place_does_not_begin(lesson: Lesson, request_: dict[str, str], says: str) -> None:
-    assert says in await lesson.refused("begin", **request_)
-    assert not any(state["recording"] for state in lesson.states)
-
-
 def test_replays_drive_the_arm_and_changes_of_motions_configure() -> None:
     services, _, actions = server_rules()
     assert actions["/replay_motion"].drives
@@ -327,20 +322,17 @@ def test_a_relaxed_arm_is_recorded_once_where_it_is_measured_and_a_driven_one_wh
     assert recorder.samples[1].tolist()[-1] == [2.5, 5.5]
 
 
-@pytest.mark.parametrize(
-    ("changes", "says"),
-    [
+def test_a_recording_that_cannot_go_on_ends_with_the_reason() -> None:
+    for changes, says in (
         ({"clock_s": 1.0 + MAX_DURATION_S + 0.1}, "600 s at most"),
         ({"clock_s": 0.5}, "started again"),
         ({"clock_s": 2.0, "mode": Mode.DISCONNECTED, "reason": "unplugged"}, "not connected: unplugged"),
         ({"clock_s": 2.0, "position_rad": None}, "not connected"),
-    ],
-)
-def test_a_recording_that_cannot_go_on_ends_with_the_reason(changes: dict[str, Any], says: str) -> None:
-    recorder = TeachingRecorder("wave", JOINTS)
-    recorder.take_state(replace(MEASURED, clock_s=1.0))
-    assert says in recorder.take_state(replace(MEASURED, **changes))
-    assert recorder.points == 1
+    ):
+        recorder = TeachingRecorder("wave", JOINTS)
+        recorder.take_state(replace(MEASURED, clock_s=1.0))
+        assert says in recorder.take_state(replace(MEASURED, **changes))
+        assert recorder.points == 1, changes
 
 
 def test_the_arm_and_its_gripper_are_recorded_unless_a_group_is_named() -> None:

@@ -4,7 +4,6 @@ import asyncio
 import json
 import re
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -49,19 +48,18 @@ def recording(lasts_s: float, seed: int = 0, tremble_rad: float = 0.004) -> tupl
 WHOLE = TaughtMotion(NAMES[:1], 0.5 * np.arange(5), np.array([[0.0], [0.3], [0.1], [0.5], [0.2]]))
 
 
-def test_a_part_follows_the_same_curve_between_its_times() -> None:
+def test_a_part_follows_the_same_curve_between_its_times_and_one_that_is_none_is_refused_with_the_limits() -> None:
     part = WHOLE.part(0.7, 1.6)
     assert part.duration_s == pytest.approx(0.9)
     assert part.at(np.array([0.0, 0.9])) == pytest.approx(WHOLE.at(np.array([0.7, 1.6])), abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("from_s", "to_s", "says"),
-    [(-0.1, 1.0, "must be 0 to 2 s"), (0.5, 2.5, "not 0.5 and 2.5"), (1.0, 1.0, "from_s before"), (1.0, 1.05, "0.1 s")],
-)
-def test_a_part_that_is_none_is_refused_with_the_limits(from_s: float, to_s: float, says: str) -> None:
-    with pytest.raises(ServiceError, match=says):
-        WHOLE.part(from_s, to_s)
+    for from_s, to_s, says in (
+        (-0.1, 1.0, "must be 0 to 2 s"),
+        (0.5, 2.5, "not 0.5 and 2.5"),
+        (1.0, 1.0, "from_s before"),
+        (1.0, 1.05, "0.1 s"),
+    ):
+        with pytest.raises(ServiceError, match=says):
+            WHOLE.part(from_s, to_s)
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -148,19 +146,16 @@ def given(*times_s: int, joint: str = "shoulder_pan") -> dict[str, object]:
     return message("trajectory_msgs/JointTrajectory", joint_names=[joint], points=points)
 
 
-@pytest.mark.parametrize(
-    ("trajectory", "says"),
-    [
+def test_a_message_that_is_no_motion_is_refused() -> None:
+    for trajectory, says in (
         (given(), "points has 0"),
         (given(0), "2 or more"),
         (given(0, 601), "0.1 to 600 s, not 601 s"),
         (given(0, 1, joint="knee"), "unknown joint 'knee'"),
         (given(1, 1), "must be after"),
-    ],
-)
-def test_a_message_that_is_no_motion_is_refused(trajectory: dict[str, object], says: str) -> None:
-    with pytest.raises((RefusedError, ServiceError), match=says):
-        from_message(trajectory, ROBOT)
+    ):
+        with pytest.raises((RefusedError, ServiceError), match=says):
+            from_message(trajectory, ROBOT)
 
 
 WAVE = TaughtMotion(("elbow_flex", "gripper"), np.array([0.0, 0.5, 1.25]), np.array([[0.0, 1.0], [0.2, 1.0], [0.1, 0]]))
@@ -208,9 +203,8 @@ async def test_a_taken_name_is_neither_recorded_nor_renamed_to_and_several_at_on
 GOOD = {"joint_names": ["elbow_flex"], "time_s": [0.0, 1.0], "positions_rad": [[0.0], [0.1]]}
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
+async def test_files_without_a_motion_are_refused(motions: MotionFiles, tmp_path: Path) -> None:
+    for content in (
         "{",
         "[]",
         json.dumps(GOOD).replace("0.1", "NaN"),
@@ -222,11 +216,9 @@ GOOD = {"joint_names": ["elbow_flex"], "time_s": [0.0, 1.0], "positions_rad": [[
         {"time_s": [0.0, 601.0]},
         {"positions_rad": [[0.0]]},
         {"positions_rad": [[0.0], [0.1, 0.2]]},
-    ],
-)
-async def test_files_without_a_motion_are_refused(motions: MotionFiles, tmp_path: Path, content: Any) -> None:
-    await motions.save("wave", WAVE)
-    file = tmp_path / "wave.json"
-    file.write_text(content if isinstance(content, str) else json.dumps(GOOD | content))
-    with pytest.raises(ServiceError, match=r"wave\.json"):
-        await motions.load("wave")
+    ):
+        await motions.save("wave", WAVE)
+        file = tmp_path / "wave.json"
+        file.write_text(content if isinstance(content, str) else json.dumps(GOOD | content))
+        with pytest.raises(ServiceError, match=r"wave\.json"):
+            await motions.load("wave")

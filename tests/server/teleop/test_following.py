@@ -38,15 +38,20 @@ def following() -> Following:
     return one
 
 
-def test_a_ramp_that_fails_ends_it_with_the_cause() -> None:
+def test_a_ramp_that_fails_ends_it_with_the_cause_and_samples_that_stop_brake_it() -> None:
     one = Following()
     one.tick(0.0, FRESH)
     one.take_ramp_end("the goal collides")
     assert one.ended
     assert "the goal collides" in one.message
+    one = Following()
+    one.tick(0.0, FRESH)
+    assert one.tick(0.5, STALE) is FollowerAct.BRAKE
+    one.take_ramp_end("")
+    assert one.phase is FollowingPhase.BRAKING
 
 
-def test_it_follows_after_one_ramp_and_an_open_clutch_holds_until_it_is_closed_and_ramps_again() -> None:
+def test_it_follows_after_one_ramp_and_holds_while_the_clutch_is_open_or_when_the_leader_jumps() -> None:
     one = following()
     assert one.tick(0.1, FRESH) is FollowerAct.FOLLOW
     one.set_clutch(closed=True)
@@ -55,17 +60,6 @@ def test_it_follows_after_one_ramp_and_an_open_clutch_holds_until_it_is_closed_a
     assert one.tick(2.0, FRESH) is FollowerAct.NOTHING
     one.set_clutch(closed=True)
     assert one.tick(3.0, FRESH) is FollowerAct.RAMP
-
-
-def test_samples_that_stop_during_the_ramp_brake_it() -> None:
-    one = Following()
-    one.tick(0.0, FRESH)
-    assert one.tick(0.5, STALE) is FollowerAct.BRAKE
-    one.take_ramp_end("")
-    assert one.phase is FollowingPhase.BRAKING
-
-
-def test_a_leader_that_jumps_makes_the_follower_hold_and_say_so() -> None:
     one = following()
     assert one.tick(1.0, FRESH, jump="a jumped") is FollowerAct.BRAKE
     assert one.phase is FollowingPhase.HOLDING

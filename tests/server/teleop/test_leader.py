@@ -45,11 +45,14 @@ def pose_at(buffer: JitterBuffer, now_s: float) -> LeaderPose:
     return pose
 
 
-def test_an_arm_of_this_server_is_followed_without_a_delay() -> None:
+def test_an_arm_of_this_server_is_followed_without_a_delay_and_an_empty_buffer_not_at_all() -> None:
     buffer = JitterBuffer({}, max_delay_s=0.0)
     for number, late_s in enumerate((0.0, 0.03, 0.0, 0.05)):
         buffer.add(LeaderSample(number * 0.1, {"pan": float(number)}), number * 0.1 + late_s)
     assert (buffer.delay_s, pose_at(buffer, 0.35).positions_rad) == (0.0, {"pan": 3.0})
+    buffer = JitterBuffer({})
+    assert buffer.pose(1.0) is None
+    assert buffer.age_s(1.0) == math.inf
 
 
 def test_a_velocity_is_not_that_of_the_single_ticks_of_an_encoder() -> None:
@@ -63,12 +66,6 @@ def test_a_velocity_is_not_that_of_the_single_ticks_of_an_encoder() -> None:
     assert velocities[10:] == pytest.approx([0.1] * 90, abs=0.035)
 
 
-def test_an_empty_buffer_has_no_pose_and_no_end_of_age() -> None:
-    buffer = JitterBuffer({})
-    assert buffer.pose(1.0) is None
-    assert buffer.age_s(1.0) == math.inf
-
-
 def test_samples_that_come_in_bursts_are_followed_evenly() -> None:
     buffer = JitterBuffer({"a": 2.0})
     seen = []
@@ -80,12 +77,9 @@ def test_samples_that_come_in_bursts_are_followed_evenly() -> None:
     assert np.diff(seen) == pytest.approx(0.01, abs=1e-6)
 
 
-def test_a_sample_that_is_overtaken_is_dropped() -> None:
+def test_a_sample_that_is_overtaken_is_dropped_and_a_jump_told_once() -> None:
     buffer = buffer_of((0.0, 0.0, 0.0), (0.02, 0.02, 0.2), (0.01, 0.03, 0.1))
     assert pose_at(buffer, 1.0).positions_rad["a"] == 0.2
-
-
-def test_a_jump_is_told_once_and_fast_hands_are_none() -> None:
     buffer = buffer_of((0.0, 0.0, 0.0), (0.01, 0.01, 1.0), (0.02, 0.02, 1.0))
     assert "a of the leader jumped by 1.00 rad within 0.010 s" in buffer.take_jump()
     assert buffer.take_jump() == ""
@@ -124,9 +118,8 @@ JOINTS = [joint.name for joint in ROBOT.movable_joints]
 PAN = ROBOT.joints["shoulder_pan"]
 
 
-@pytest.mark.parametrize(
-    ("leader", "options", "positions_rad", "targets_rad"),
-    [
+def test_joints_follow_those_of_the_same_name_or_as_the_request_says() -> None:
+    for leader, options, positions_rad, targets_rad in (
         (
             [f"left_{name}" for name in JOINTS],
             {"leader_prefix": "left_"},
@@ -137,15 +130,10 @@ PAN = ROBOT.joints["shoulder_pan"]
         (JOINTS, {}, {"shoulder_pan": 9.0}, {"shoulder_pan": PAN.upper}),
         (JOINTS, {"mirror": True}, {"shoulder_pan": 0.4, "elbow_flex": 0.4}, {"shoulder_pan": -0.4, "elbow_flex": 0.4}),
         (["a", "b"], {"pairs": (["b"], ["wrist_roll"])}, {"a": 0.1, "b": 0.2}, {"wrist_roll": 0.2}),
-    ],
-    ids=["below another prefix", "scaled", "within the limits", "mirrored", "pairs"],
-)
-def test_joints_follow_those_of_the_same_name_or_as_the_request_says(
-    leader: list[str], options: dict[str, Any], positions_rad: dict[str, float], targets_rad: dict[str, float]
-) -> None:
-    joints = joint_map(ROBOT, "", leader, **options)
-    assert joints.targets_rad(positions_rad) == targets_rad
-    assert [link.follower for link in joints.links] == (["wrist_roll"] if "pairs" in options else JOINTS)
+    ):
+        joints = joint_map(ROBOT, "", leader, **options)
+        assert joints.targets_rad(positions_rad) == targets_rad
+        assert [link.follower for link in joints.links] == (["wrist_roll"] if "pairs" in options else JOINTS)
 
 
 def test_in_the_mirror_pan_and_roll_turn_the_other_way() -> None:
@@ -159,9 +147,8 @@ def test_a_target_far_beyond_the_range_is_named_with_a_hint_at_degrees(pan_rad: 
     assert says in found
 
 
-@pytest.mark.parametrize(
-    ("leader", "pairs", "scale", "said"),
-    [
+def test_a_wrong_map_is_refused() -> None:
+    for leader, pairs, scale, said in (
         (["a"], ([], []), 1.0, "leader: has no joint of the follower's"),
         (["a"], (["x"], ["wrist_roll"]), 1.0, "leader_joints: must be of a, not 'x'"),
         (["a"], (["a"], ["x"]), 1.0, "follower_joints: must be of shoulder_pan, .*, not 'x'"),
@@ -169,11 +156,9 @@ def test_a_target_far_beyond_the_range_is_named_with_a_hint_at_degrees(pan_rad: 
         (["a", "b"], (["a", "b"], ["gripper", "gripper"]), 1.0, "follower_joints: must have each joint once"),
         (JOINTS, ([], []), 3.0, "scale: must be above 0 and at most 2, not 3"),
         (JOINTS, ([], []), float("nan"), "scale: must be above 0 and at most 2, not nan"),
-    ],
-)
-def test_a_wrong_map_is_refused(leader: list[str], pairs: tuple[list[str], list[str]], scale: float, said: str) -> None:
-    with pytest.raises(ServiceError, match=said):
-        joint_map(ROBOT, "", leader, scale=scale, pairs=pairs)
+    ):
+        with pytest.raises(ServiceError, match=said):
+            joint_map(ROBOT, "", leader, scale=scale, pairs=pairs)
 
 
 TOPIC = "/leader/joint_states"
@@ -251,22 +236,19 @@ def send(leader: Leader, publisher: Node, msg: dict[str, Any], now_s: float) -> 
     leader.take_message(published)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
+def test_a_message_that_cannot_be_followed_is_refused_with_its_field() -> None:
+    for change, said in (
         ({"position": []}, "name: must have 1 to 32 joints, as many as position has values, 0, not 1"),
         ({"name": [], "position": []}, "name: must have 1 to 32 joints"),
         ({"name": ["j"] * (MAX_JOINTS + 1), "position": [0.0] * (MAX_JOINTS + 1)}, "name: must have 1 to 32 joints"),
         ({"position": [math.nan]}, "position of elbow: must be a finite number, not nan"),
-    ],
-)
-def test_a_message_that_cannot_be_followed_is_refused_with_its_field(change: dict[str, Any], said: str) -> None:
-    with pytest.raises(ServiceError, match=said):
-        read_sample(message(1.0, elbow=0.5) | change, 99.0)
-    clock = FakeClock()
-    leader = Leader("/glove", {}, clock)
-    send(leader, Node("one"), message(1.0, elbow=0.5) | change, clock.now_s)
-    assert leader.joint_names == ()
+    ):
+        with pytest.raises(ServiceError, match=said):
+            read_sample(message(1.0, elbow=0.5) | change, 99.0)
+        clock = FakeClock()
+        leader = Leader("/glove", {}, clock)
+        send(leader, Node("one"), message(1.0, elbow=0.5) | change, clock.now_s)
+        assert leader.joint_names == (), change
 
 
 def test_while_one_client_leads_another_is_not_followed_and_takes_over_after_a_silence() -> None:

@@ -210,15 +210,12 @@ class Found:
         return self.discovery.entities()
 
 
-def test_an_entity_is_known_until_the_last_that_does_the_same_goes() -> None:
+def test_an_entity_of_others_is_known_until_the_last_of_its_valid_tokens_goes() -> None:
     found = Found()
     first, second = found.token(), found.token()
     known = (Entity(EntityKind.PUBLISHER, "them", CHATTER, latched=False),)
     assert found.update(first) == found.update(second) == found.update(first, alive=False) == known
     assert found.update(second, alive=False) == ()
-
-
-def test_only_valid_tokens_of_others_that_are_of_concern_are_kept() -> None:
     services, found = Found(lambda entity: entity.kind is EntityKind.SERVICE), Found()
     assert services.update(services.token()) == ()
     assert found.update(found.ours.entity(EntityKind.PUBLISHER, CHATTER)) == ()

@@ -19,30 +19,24 @@ ADDER = (
 )
 
 
-def test_topics_services_and_nodes_have_the_keys_of_rmw_zenoh() -> None:
+def test_topics_services_and_nodes_have_the_keys_of_rmw_zenoh_and_tokens_a_number_each() -> None:
     robot = Endpoint("/robot1/chatter", "std_msgs/msg/String", STRING_HASH)
     assert CHATTER.key(0) == f"0/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
     assert robot.key(0) == f"0/robot1/chatter/std_msgs::msg::dds_::String_/{STRING_HASH}"
     assert ADD.key(2) == f"2/add_two_ints/example_interfaces::srv::dds_::AddTwoInts_/{ADD_HASH}"
     assert LivelinessTokens(2, "aac3", "").node() == "@ros2_lv/2/aac3/0/0/NN/%/%/armbridge"
     assert LivelinessTokens(2, "aac3", "/arm1").node() == "@ros2_lv/2/aac3/0/0/NN/%/%arm1/armbridge"
-
-
-def test_everything_announced_has_a_number_of_its_own() -> None:
     tokens = LivelinessTokens(0, "aac3", "")
     first, second = tokens.entity(EntityKind.SUBSCRIPTION, CHATTER), tokens.entity(EntityKind.SUBSCRIPTION, CHATTER)
     behind = f"MS/%/%/armbridge/%chatter/std_msgs::msg::dds_::String_/{STRING_HASH}/::,10:,:,:,,"
     assert (first, second) == (f"@ros2_lv/0/aac3/0/1/{behind}", f"@ros2_lv/0/aac3/0/2/{behind}")
 
 
-def test_tokens_of_rmw_zenoh_are_read() -> None:
+def test_tokens_of_rmw_zenoh_are_read_but_of_neither_topics_nor_services() -> None:
     assert Entity.parse(TALKER) == Entity(
         EntityKind.PUBLISHER, "8b20917502ee955ac4476e0266340d5c", CHATTER, latched=False
     )
     assert Entity.parse(ADDER) == Entity(EntityKind.SERVICE, "f9980ee0495eaafb3e38f0d19e2eae12", ADD, latched=False)
-
-
-def test_tokens_of_neither_topics_nor_services_are_ignored() -> None:
     others = [
         "",
         "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener",
@@ -65,14 +59,11 @@ def test_characters_with_a_meaning_in_keys_are_no_part_of_names() -> None:
 GID = bytes(range(16))
 
 
-def test_an_attachment_is_written_as_zenoh_serializes_its_parts_and_read_back() -> None:
+def test_an_attachment_is_written_as_zenoh_serializes_its_parts_and_other_octets_are_none() -> None:
     attachment = Attachment(3, 1_700_000_000_000_000_001, GID)
     parts = (zenoh.ext.Int64(attachment.sequence_number), zenoh.ext.Int64(attachment.source_timestamp_ns), GID)
     assert attachment.encode() == bytes(zenoh.ext.z_serialize(parts))
     assert Attachment.decode(attachment.encode()) == attachment
-
-
-def test_octets_that_are_no_attachment_are_none() -> None:
     written = Attachment(7, 12, GID).encode()
     others = (b"", written + b"\0", written[:16] + b"\x0f" + GID)
     assert [Attachment.decode(octets) for octets in others] == [None] * 3

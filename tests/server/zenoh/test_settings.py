@@ -53,7 +53,7 @@ def value(settings: ZenohSettings, path: str) -> Any:
     return json.loads(session_config(settings).get_json(path))
 
 
-def test_the_settings_become_the_configuration_of_zenoh() -> None:
+def test_the_settings_and_a_file_of_zenoh_become_its_configuration(tmp_path: Path) -> None:
     told: dict[str, Any] = {"connect": ("tcp/127.0.0.1:7447",), "listen": ("tcp/127.0.0.1:7448",)}
     settings = ZenohSettings(mode="router", scouting_multicast=True, **told)
     assert value(settings, "mode") == "router"
@@ -63,9 +63,6 @@ def test_the_settings_become_the_configuration_of_zenoh() -> None:
     # Nothing of it happens unless it is set.
     assert value(ZenohSettings(mode="peer"), "listen/endpoints") == []
     assert value(ZenohSettings(mode="peer"), "scouting/multicast/enabled") is False
-
-
-def test_a_file_of_zenoh_says_what_no_setting_says(tmp_path: Path) -> None:
     text = '{ /* ours */ connect: { endpoints: ["tls/router:7447"] }, queries_default_timeout: 1234, }'
     settings = with_file(tmp_path, text)
     assert value(settings, "connect/endpoints") == ["tls/router:7447"]
@@ -103,16 +100,11 @@ def test_commands_from_everyone_in_the_network_must_be_asked_for_twice(taken_in:
     session_config(ZenohSettings(**exposed))
 
 
-@pytest.mark.parametrize(
-    "listening", ['["tcp/0.0.0.0:7449"]', '{ peer: ["tcp/0.0.0.0:7449"] }', '["tls/0.0.0.0:7449"]']
-)
-def test_an_endpoint_opened_by_a_file_of_zenoh_counts_as_exposed(tmp_path: Path, listening: str) -> None:
-    settings = with_file(tmp_path, f"{{ listen: {{ endpoints: {listening} }} }}", offer=("/arm/*",))
-    with pytest.raises(ConfigurationError, match=r"0\.0\.0\.0:7449 lets everyone"):
-        session_config(settings)
-
-
-def test_machines_that_show_a_certificate_may_send_commands(tmp_path: Path) -> None:
+def test_an_endpoint_opened_by_a_file_of_zenoh_counts_as_exposed_unless_a_certificate_is_needed(tmp_path: Path) -> None:
+    for endpoints in ('["tcp/0.0.0.0:7449"]', '{ peer: ["tcp/0.0.0.0:7449"] }', '["tls/0.0.0.0:7449"]'):
+        settings = with_file(tmp_path, f"{{ listen: {{ endpoints: {endpoints} }} }}", offer=("/arm/*",))
+        with pytest.raises(ConfigurationError, match=r"0\.0\.0\.0:7449 lets everyone"):
+            session_config(settings)
     mutual = "{ transport: { link: { tls: { enable_mtls: true } } } }"
     session_config(with_file(tmp_path, mutual, listen=("tls/0.0.0.0:7449",), offer=("/arm/*",)))
 

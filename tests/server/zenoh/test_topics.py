@@ -11,7 +11,6 @@ import zenoh.ext
 
 from harness.waiting import TIMEOUT_S, until
 from protocol.publication import PublishedMessage
-from server.access.settings import AccessSettings
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.topics import Subscriber
 from server.zenoh import topics
@@ -242,21 +241,6 @@ async def test_a_viewing_network_sends_no_goals_and_is_answered(caplog: pytest.L
     assert goals == []
     assert "needs the role operate" in on_unauthorized[0]
     assert [record.levelno for record in caplog.records if "needs the role" in record.message] == [logging.WARNING]
-
-
-async def test_while_a_client_controls_the_arm_others_send_no_goals_but_stop_it() -> None:
-    async with networked(subscribe=GOALS, access=AccessSettings(control="lease")) as (site, machine):
-        goals = site.hear("/moveit_goal_named", STRING, site.part)
-        stops = site.hear("/stop", "std_msgs/msg/Empty", site.part)
-        assert site.access.lease.drive(site.client, asyncio.get_running_loop().time()) is None
-        await listening(machine, "%stop")
-        machine.publish("/moveit_goal_named", STRING, data="ready")
-        machine.publish("/stop", "std_msgs/msg/Empty")
-        await until(lambda: stops)
-        assert goals == []
-        site.access.lease.leave(site.client)
-        machine.publish("/moveit_goal_named", STRING, data="ready")
-        await until(lambda: goals)
 
 
 async def test_a_topic_of_another_version_of_its_type_is_told_once(caplog: pytest.LogCaptureFixture) -> None:

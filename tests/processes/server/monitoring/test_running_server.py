@@ -43,6 +43,7 @@ def test_an_administrator_gets_health_metrics_diagnostics_and_log(port: int) -> 
     assert json.loads(told["server/health.json"])["live"]
     assert "armbridge_arm_mode" in told["server/metrics.txt"]
     assert "armbridge is ready" in told["server/log.txt"]
+    assert "robot.control.loop armbridge.arm: " in told["server/log.txt"]
     assert json.loads(told["server/arm_state.json"])["name"] == "arm"
     assert "arm: elbow_flex" in [each["name"] for each in json.loads(told["server/diagnostics.json"])["status"]]
     history = json.loads(told["server/servo_history.json"])["elbow_flex"]

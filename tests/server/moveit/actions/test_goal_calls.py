@@ -139,9 +139,7 @@ NOT_READ: list[tuple[dict[str, Any], int, str]] = [
 
 
 @pytest.mark.parametrize(("request_", "code", "words"), NOT_READ)
-async def test_a_wrong_request_gets_its_code_and_moves_nothing(
-    desk: Desk, request_: dict[str, Any], code: int, words: str
-) -> None:
+async def test_a_wrong_request_moves_nothing(desk: Desk, request_: dict[str, Any], code: int, words: str) -> None:
     await desk.ask(**request_)
     assert (desk.answer["success"], desk.answer["code"]) == (False, code)
     assert words in desk.answer["message"]
@@ -158,9 +156,7 @@ async def test_a_wrong_request_gets_its_code_and_moves_nothing(
         ({"optimization": "best", "allowed_planning_time": 2.0}, 2.0, 2.0),
     ],
 )
-async def test_a_goal_chooses_the_time_of_its_planning(
-    desk: Desk, fields: Any, time_s: float, allowed_s: float
-) -> None:
+async def test_a_goal_chooses_its_planning_time(desk: Desk, fields: Any, time_s: float, allowed_s: float) -> None:
     await desk.ask(named="ready", **fields)
     problem = desk.asked[0].steps[0].problem(HOME)
     assert (problem.optimization_time_s, problem.allowed_time_s) == (time_s, allowed_s)
@@ -190,7 +186,7 @@ async def test_the_goal_of_a_client_that_leaves_ends_as_the_setting_says(desk: D
     assert bool(desk.queue.busy()) is not takes_along
 
 
-async def test_an_action_that_only_plans_can_be_cancelled(desk: Desk) -> None:
+async def test_an_action_that_only_plans_can_be_cancelled_and_is_aborted_if_it_fails(desk: Desk) -> None:
     goal = desk.graph.actions.send_goal(
         desk.client, NAME, "armbridge_msgs/MoveitGoal", {"named": "ready", "plan_only": True}, desk.results.append
     )
@@ -198,10 +194,7 @@ async def test_an_action_that_only_plans_can_be_cancelled(desk: Desk) -> None:
     goal.cancel()
     await settle()
     assert desk.results[0].status == GoalStatus.CANCELED
-
-
-async def test_a_goal_that_fails_aborts_the_action(desk: Desk) -> None:
     await desk.send(NAME, joints=ELBOW)
     desk.finish(Answer(MoveItErrorCode.CONTROL_FAILED, "stalled"))
     await settle()
-    assert (desk.results[0].status, desk.results[0].values["code"]) == (GoalStatus.ABORTED, -4)
+    assert (desk.results[1].status, desk.results[1].values["code"]) == (GoalStatus.ABORTED, -4)

@@ -94,31 +94,26 @@ class Grippers:
 
 
 @pytest.mark.stepped_time
-@pytest.mark.parametrize(
-    ("end", "status", "end_rad", "stalled"),
-    [
+async def test_feedback_and_result_tell_where_the_gripper_is_and_how_its_motion_ended() -> None:
+    for end, status, end_rad, stalled in (
         (Outcome.REACHED, SUCCEEDED, 1.0, False),
         (Outcome.GRIPPED, SUCCEEDED, 0.2, True),
         (Outcome.STOPPED, CANCELED, 0.2, False),
-    ],
-)
-async def test_feedback_and_result_tell_where_the_gripper_is_and_how_its_motion_ended(
-    end: Outcome, status: int, end_rad: float, stalled: bool
-) -> None:
-    for action, command in ((FETCH_ACTION, {"position": 1.0, "max_effort": 0.1}), (PARALLEL_ACTION, {})):
-        grippers = Grippers()
-        grippers.arm.put(gripper=0.2)
-        await grippers.send(action, **command)
-        await asyncio.sleep(1.0)
-        grippers.arm.end(end, "so")
-        await together(grippers.arm, 1.0)
-        (result,) = grippers.results
-        told = [each if command else each["state"] for each in (grippers.feedback[0], result.values)]
-        assert [each["position"] for each in told] == ([0.2, end_rad] if command else [[0.2], [end_rad]])
-        flags = result.values["stalled"], result.values["reached_goal"]
-        assert (result.status, *flags) == (status, stalled, end is Outcome.REACHED)
-        # Of the limit of 0.5.
-        assert grippers.arm.torque_share == (0.2 if command else 1.0)
+    ):
+        for action, command in ((FETCH_ACTION, {"position": 1.0, "max_effort": 0.1}), (PARALLEL_ACTION, {})):
+            grippers = Grippers()
+            grippers.arm.put(gripper=0.2)
+            await grippers.send(action, **command)
+            await asyncio.sleep(1.0)
+            grippers.arm.end(end, "so")
+            await together(grippers.arm, 1.0)
+            (result,) = grippers.results
+            told = [each if command else each["state"] for each in (grippers.feedback[0], result.values)]
+            assert [each["position"] for each in told] == ([0.2, end_rad] if command else [[0.2], [end_rad]])
+            flags = result.values["stalled"], result.values["reached_goal"]
+            assert (result.status, *flags) == (status, stalled, end is Outcome.REACHED)
+            # Of the limit of 0.5.
+            assert grippers.arm.torque_share == (0.2 if command else 1.0), end
 
 
 @pytest.mark.stepped_time
@@ -149,16 +144,13 @@ async def test_a_command_that_comes_while_the_arm_is_being_started_waits_for_it(
     assert "/arm/enable" in result.values
 
 
-async def test_a_goal_that_is_over_takes_the_grippers_motion_along() -> None:
+async def test_a_gripper_is_braked_when_its_goal_is_over_or_ends_by_an_error() -> None:
     grippers = Grippers()
     goal = await grippers.send()
     assert len(grippers.arm.played) == 1
     goal.fail("took more than 3600 s")
     await settle()
     assert len(grippers.arm.stops) == 1
-
-
-async def test_a_gripper_whose_goal_ends_by_an_error_is_braked() -> None:
     grippers = Grippers()
 
     def broken(_reading: GripperReading) -> None:
@@ -193,39 +185,13 @@ async def test_the_end_of_the_grippers_motion_is_known_by_time_and_position() ->
 
 
 @pytest.mark.stepped_time
-async def test_a_starved_gripper_has_all_its_time_by_the_arms_clock() -> None:
+async def test_a_gripper_has_its_time_by_the_arms_clock_and_is_braked_and_awaited_by_the_same() -> None:
     moving = begin(slow := SlowArm())
     await asyncio.sleep(100.0 * ALLOWED_S)
     await together(slow, 0.9 * ALLOWED_S)
     assert slow.stops == []
     slow.end()
     assert (await moving).outcome is Outcome.REACHED
-
-
-@pytest.mark.stepped_time
-@pytest.mark.parametrize(
-    ("rate", "after_s", "said"),
-    [
-        (1.0, ALLOWED_S, "the arm did not end the motion within 5.0 s; stopped half-way"),
-        (0.5, 2.0 * ALLOWED_S, "the arm did not end the motion within 5.0 s; stopped half-way"),
-        (0.01, LIMITS.paused_s, "the motion was paused or going back for 20 s (limit 20 s); stopped half-way"),
-    ],
-)
-async def test_a_goal_fails_at_its_deadline_with_the_limit(rate: float, after_s: float, said: str) -> None:
-    grippers = Grippers(LIMITS)
-    grippers.arm.rate = rate
-    await grippers.send()
-    await together(grippers.arm, 0.95 * after_s)
-    assert grippers.arm.stops == []
-    await together(grippers.arm, 0.05 * after_s + 0.2)
-    assert len(grippers.arm.stops) == 1
-    grippers.arm.end(Outcome.STOPPED, "stopped half-way")
-    await settle()
-    assert grippers.results == [Result(ok=False, status=ABORTED, values=said)]
-
-
-@pytest.mark.stepped_time
-async def test_a_gripper_that_overruns_by_the_arms_clock_is_braked_and_awaited_by_the_same() -> None:
     moving = begin(slow := SlowArm())
     await together(slow, 1.1 * ALLOWED_S)
     assert (len(slow.stops), moving.done()) == (1, False)
@@ -233,6 +199,25 @@ async def test_a_gripper_that_overruns_by_the_arms_clock_is_braked_and_awaited_b
     assert not moving.done()
     await together(slow, BRAKING_TIMEOUT_S)
     assert (await moving).outcome is Outcome.PROCESS_LOST
+
+
+@pytest.mark.stepped_time
+async def test_a_goal_fails_at_its_deadline_with_the_limit() -> None:
+    for rate, after_s, said in (
+        (1.0, ALLOWED_S, "the arm did not end the motion within 5.0 s; stopped half-way"),
+        (0.5, 2.0 * ALLOWED_S, "the arm did not end the motion within 5.0 s; stopped half-way"),
+        (0.01, LIMITS.paused_s, "the motion was paused or going back for 20 s (limit 20 s); stopped half-way"),
+    ):
+        grippers = Grippers(LIMITS)
+        grippers.arm.rate = rate
+        await grippers.send()
+        await together(grippers.arm, 0.95 * after_s)
+        assert grippers.arm.stops == [], rate
+        await together(grippers.arm, 0.05 * after_s + 0.2)
+        assert len(grippers.arm.stops) == 1, rate
+        grippers.arm.end(Outcome.STOPPED, "stopped half-way")
+        await settle()
+        assert grippers.results == [Result(ok=False, status=ABORTED, values=said)]
 
 
 @pytest.mark.stepped_time
@@ -248,24 +233,19 @@ async def test_a_grip_ends_when_its_goal_position_rests_by_the_arms_clock() -> N
     assert (await moving).outcome is Outcome.GRIPPED
 
 
-REFUSED: list[tuple[str, dict[str, Any], str]] = [
-    (GRIPPER_ACTION, {"position": 5.0}, "from -0.145 to 1.715 rad, not 5.0"),
-    (GRIPPER_ACTION, {"position": 1.0, "max_effort": -1.0}, "effort .* not -1.0"),
-    (PARALLEL_ACTION, {"name": ["gripper"], "position": []}, "one value, not 0"),
-    (PARALLEL_ACTION, {"name": ["elbow_flex"], "position": [0.1]}, "elbow_flex"),
-    (PARALLEL_ACTION, {"position": [0.1], "effort": [0.1, 0.2]}, "command.effort .* not 2"),
-]
-
-
-@pytest.mark.parametrize(("action", "command", "words"), REFUSED)
-async def test_an_invalid_command_is_rejected_with_field_limit_and_value(
-    action: str, command: dict[str, Any], words: str
-) -> None:
-    grippers = Grippers()
-    await grippers.send(action, **command)
-    (result,) = grippers.results
-    assert (result.ok, result.status) == (False, ABORTED)
-    assert re.search(words, result.values)
+async def test_an_invalid_command_is_rejected_with_field_limit_and_value() -> None:
+    for action, command, words in (
+        (GRIPPER_ACTION, {"position": 5.0}, "from -0.145 to 1.715 rad, not 5.0"),
+        (GRIPPER_ACTION, {"position": 1.0, "max_effort": -1.0}, "effort .* not -1.0"),
+        (PARALLEL_ACTION, {"name": ["gripper"], "position": []}, "one value, not 0"),
+        (PARALLEL_ACTION, {"name": ["elbow_flex"], "position": [0.1]}, "elbow_flex"),
+        (PARALLEL_ACTION, {"position": [0.1], "effort": [0.1, 0.2]}, "command.effort .* not 2"),
+    ):
+        grippers = Grippers()
+        await grippers.send(action, **command)
+        (result,) = grippers.results
+        assert (result.ok, result.status) == (False, ABORTED), action
+        assert re.search(words, result.values)
 
 
 LIFTED = parse(LIFTED_URDF, LIFTED_SRDF)
@@ -285,11 +265,8 @@ def simple_command(joints: list[Joint], position: float) -> GripperCommand:
     return GripperCommandMessages(joints).command({"position": position, "max_effort": 0.0})
 
 
-def test_the_urdfs_limit_means_the_soft_limit() -> None:
+def test_a_position_has_the_soft_limit_and_is_the_gap_between_two_sliding_fingers_in_metres() -> None:
     assert simple_command([JOINT], -0.174533).position == JOINT.lower > -0.17
-
-
-def test_the_position_of_two_sliding_fingers_is_the_gap_between_them_in_metres() -> None:
     assert simple_command(FINGERS, 0.06).position == pytest.approx(0.03)
     reading = GripperReading((0.02, 0.03), (0.0, 0.0), (0.1, -0.4))
     result = GripperCommandMessages(FINGERS).result(reading, stalled=False, reached=True)

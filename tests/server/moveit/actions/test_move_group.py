@@ -61,14 +61,11 @@ async def test_a_goal_under_both_names_gets_each_state_and_result_once(desk: Act
     assert codes(desk) == [1]
 
 
-async def test_a_cancelled_goal_ends_and_says_who_cancelled_it(desk: ActionDesk) -> None:
+async def test_a_goal_that_is_cancelled_or_over_takes_its_motion_along_and_says_who_ended_it(desk: ActionDesk) -> None:
     (await desk.send("/move_group", request=to(0.3))).cancel()
     await settle()
     assert desk.results[0].status == GoalStatus.CANCELED
     assert desk.results[0].values["error_code"]["message"] == "cancelled by a client of /move_group"
-
-
-async def test_a_goal_that_is_over_takes_its_motion_along_and_leaves_others_alone(desk: ActionDesk) -> None:
     first = desk.queue.submit(GoalRequest("/moveit_goal_pose", PlannedMotion((), frozenset({"gripper"}))))
     goal = await desk.send("/move_group", request=to(0.3))
     goal.fail("Action /move_group took more than 3600 s")
@@ -187,7 +184,7 @@ def asked(request: dict[str, Any], **options: Any) -> move_group.PlanningGoal:
     )
 
 
-def test_a_motion_is_planned_from_the_start_of_its_turn_in_the_scene_with_the_diff(rig: ServiceRig) -> None:
+async def test_a_motion_starts_where_its_turn_comes_and_a_plan_alone_where_the_request_says(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [1.0]}}
     changes = {"world": {"collision_objects": [box("box", at=pose(2.0))]}}
     asked_for = asked({**to(0.3), "start_state": start}, planning_scene_diff=changes)
@@ -197,9 +194,6 @@ def test_a_motion_is_planned_from_the_start_of_its_turn_in_the_scene_with_the_di
     assert any("start_state is ignored" in warning for warning in motion.warnings)
     assert [one.name for one in motion.scene(HOME).objects] == ["box"]
     assert rig.scene_state.scene.objects == ()
-
-
-async def test_a_plan_alone_starts_where_the_request_says(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [0.5]}, "is_diff": True}
     answer: Any = await move_group.plan_only(asked({**to(0.3), "start_state": start}), rig.client, rig.context)
     assert answer.code is MoveItErrorCode.SUCCESS
@@ -224,17 +218,12 @@ async def test_a_plan_alone_that_fails_says_what_would_work(rig: ServiceRig) -> 
         assert result["error_code"]["message"] == straight.message
 
 
-@pytest.mark.parametrize(
-    ("wanted", "attempts"), [(0, move_group.DEFAULT_ATTEMPTS), (3, 3), (100_000, move_group.MAX_ATTEMPTS)]
-)
-def test_planning_anew_has_moveits_default_and_a_bound(wanted: int, attempts: int) -> None:
-    assert asked(to(0.3), replan=True, replan_attempts=wanted).attempts == attempts
-
-
-@pytest.mark.parametrize("field", ["look_around_attempts", "replan_attempts"])
-def test_a_negative_number_of_attempts_is_rejected_by_name(field: str) -> None:
-    refused = rejection(asked, to(0.3), **{field: -1})
-    assert_refused(refused, MoveItErrorCode.FAILURE, f"planning_options.{field} must be 0 or more, not -1")
+def test_planning_anew_has_moveits_default_and_a_bound_and_no_negative_number_of_attempts() -> None:
+    for wanted, attempts in ((0, move_group.DEFAULT_ATTEMPTS), (3, 3), (100_000, move_group.MAX_ATTEMPTS)):
+        assert asked(to(0.3), replan=True, replan_attempts=wanted).attempts == attempts
+    for field in ("look_around_attempts", "replan_attempts"):
+        refused = rejection(asked, to(0.3), **{field: -1})
+        assert_refused(refused, MoveItErrorCode.FAILURE, f"planning_options.{field} must be 0 or more, not -1")
 
 
 def trajectory(position_rad: float, seconds: int = 2) -> dict[str, object]:
@@ -242,9 +231,7 @@ def trajectory(position_rad: float, seconds: int = 2) -> dict[str, object]:
     return {"joint_trajectory": {"joint_names": ["elbow_flex"], "points": [point]}}
 
 
-async def test_a_trajectory_without_points_is_done_at_once_and_multi_dof_joints_are_only_logged(
-    desk: ActionDesk, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_trajectory_without_points_is_done_at_once(desk: ActionDesk, caplog: pytest.LogCaptureFixture) -> None:
     await desk.send(move_group.EXECUTE_ACTION, trajectory={"multi_dof_joint_trajectory": {"points": [{}]}})
     assert (codes(desk), desk.asked) == ([1], [])
     assert "multi_dof_joint_trajectory is ignored" in caplog.text

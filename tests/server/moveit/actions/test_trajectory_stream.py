@@ -98,9 +98,7 @@ async def test_slow_planners_stop_no_stream(controller: Controller, monkeypatch:
 
 
 @pytest.mark.parametrize("after_s", np.arange(0.0, 1.0 / STREAM_HZ, 0.012).tolist())
-async def test_a_stop_at_any_moment_of_a_message_ends_the_stream_until_it_pauses(
-    controller: Controller, after_s: float
-) -> None:
+async def test_a_stop_at_any_moment_ends_the_stream_until_it_pauses(controller: Controller, after_s: float) -> None:
     streaming = asyncio.create_task(controller.stream(1.5))
     await asyncio.sleep(0.7 + after_s)
     controller.stage.call("/arm/stop")

@@ -70,14 +70,11 @@ class Slow:
         return await goal_checks.answers_in_time(problems, self, EMPTY_SCENE)
 
 
-async def test_hard_goals_alone_are_checked_once_within_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_hard_goals_and_busy_planners_take_no_longer_than_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
     pool = Slow(lambda _asked: LATE)
     assert await pool.answers(monkeypatch, 100) == [LATE] * 100
     assert len(pool.asked) == 100
     assert pool.now_s <= 100 * goal_checks.GOAL_TIME_S
-
-
-async def test_the_wait_for_busy_planners_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     answers = await Slow(lambda _asked: FOUND_AT_HOME, busy_s=1.0).answers(monkeypatch, 100)
     assert answers[0] is FOUND_AT_HOME
     assert answers[-1] is goal_checks.NOT_CHECKED

@@ -66,7 +66,9 @@ def take(records: Records, goal_id: str, *steps: float, ends: Answer | None = No
     records.history.on_answer(goal(goal_id, *steps, **options), ends or answer(MOTION))
 
 
-async def test_the_history_tells_the_last_100_goals_oldest_first_with_their_times(records: Records) -> None:
+async def test_the_history_tells_the_last_100_goals_but_those_of_their_client_alone(records: Records) -> None:
+    take(records, "1", 0.4, only_for=Node("client"))
+    assert (await records.call(HISTORY))["goals"] == []
     for number in range(103):
         take(records, str(number), 0.4)
     told = await records.call(HISTORY)
@@ -74,11 +76,6 @@ async def test_the_history_tells_the_last_100_goals_oldest_first_with_their_time
     assert told["stamps"] == [1000.0 + number for number in range(3, 103)]
     assert not (await records.record("2"))["success"]
     assert (await records.record("3"))["success"]
-
-
-async def test_a_goal_that_is_answered_to_its_client_alone_has_no_record(records: Records) -> None:
-    take(records, "1", 0.4, only_for=Node("client"))
-    assert (await records.call(HISTORY))["goals"] == []
 
 
 async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None:
@@ -92,18 +89,15 @@ async def test_a_record_tells_what_was_asked_and_found(records: Records) -> None
     assert [part["joint_trajectory"]["joint_names"] for part in told["planned"]] == [["shoulder_pan"]]
 
 
-async def test_a_record_has_the_problem_that_failed(records: Records) -> None:
+async def test_a_record_has_the_problem_that_failed_and_none_of_a_goal_that_was_refused(records: Records) -> None:
     failed = answer(MOTION, code=MoveItErrorCode.NO_IK_SOLUTION, text="out of reach", to_rad=0.9)
     take(records, "1", 0.4, 0.9, ends=failed)
     told = await records.record("1")
     assert told["problem_name"] == "goal-1-NO_IK_SOLUTION.json"
     (problem,) = json.loads(told["problem"])["goal_problems"]
     assert problem["goal"]["joints"]["positions_rad"] == {"shoulder_pan": 0.9}
-
-
-async def test_a_goal_that_was_refused_has_a_record_without_a_problem(records: Records) -> None:
-    take(records, "1", ends=Answer(MoveItErrorCode.FAILURE, "there is no pose 'x'"))
-    told = await records.record("1")
+    take(records, "2", ends=Answer(MoveItErrorCode.FAILURE, "there is no pose 'x'"))
+    told = await records.record("2")
     assert (told["success"], told["problem"], told["planned"]) == (True, "", [])
     assert told["message"].startswith("no problem file: the goal was refused before planning")
 

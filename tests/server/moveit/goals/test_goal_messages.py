@@ -34,20 +34,17 @@ def test_an_unknown_named_target_is_rejected_with_those_that_exist(name: str) ->
     assert failure.details["known"] == ["Mine", "extended", "home", "ready", "rest"]
 
 
-BAD_JOINTS = [
-    (["elbow_flex"], [], "1 entries and position 0"),
-    (["knee"], [0.1], "no joint of group arm"),
-    ([], [], "no joint of group arm"),
-    (["elbow_flex", "elbow_flex"], [0.1, 0.2], "elbow_flex is named more than once"),
-    (["elbow_flex"], [math.nan], "elbow_flex: position must be a finite number, not nan"),
-    (["elbow_flex"], [math.inf], "elbow_flex: position must be a finite number, not inf"),
-]
-
-
-@pytest.mark.parametrize(("name", "position", "words"), BAD_JOINTS)
-def test_an_invalid_joint_goal_is_rejected_with_the_reason(name: list[str], position: list[float], words: str) -> None:
-    state = message("sensor_msgs/JointState", name=name, position=position)
-    assert_refused(rejection(TRANSLATOR.joints, state), INVALID, words)
+def test_an_invalid_joint_goal_is_rejected_with_the_reason() -> None:
+    for name, position, words in (
+        (["elbow_flex"], [], "1 entries and position 0"),
+        (["knee"], [0.1], "no joint of group arm"),
+        ([], [], "no joint of group arm"),
+        (["elbow_flex", "elbow_flex"], [0.1, 0.2], "elbow_flex is named more than once"),
+        (["elbow_flex"], [math.nan], "elbow_flex: position must be a finite number, not nan"),
+        (["elbow_flex"], [math.inf], "elbow_flex: position must be a finite number, not inf"),
+    ):
+        state = message("sensor_msgs/JointState", name=name, position=position)
+        assert_refused(rejection(TRANSLATOR.joints, state), INVALID, words)
 
 
 def test_a_frame_is_resolved_when_the_goals_turn_comes() -> None:
@@ -73,13 +70,20 @@ def test_a_joint_goal_beyond_limits_is_brought_within_them_in_every_joint() -> N
     assert found.msg == {"name": ["shoulder_pan", "elbow_flex"], "position": [ROBOT.joints["shoulder_pan"].upper, 0.2]}
 
 
-@pytest.mark.parametrize("key", ["nearest_m", "free_m"])
-def test_a_point_is_suggested_in_the_planning_frame(key: str) -> None:
-    found: Any = suggestion({}, {key: [0.1, 0.2, 0.3]}, ROBOT)
-    assert found.topic == "/moveit_goal_pose"
-    assert found.msg["header"]["frame_id"] == ROBOT.root_link
-    assert found.msg["pose"]["position"] == {"x": 0.1, "y": 0.2, "z": 0.3}
-    assert "(0.100, 0.200, 0.300) m" in found.words
+def test_a_point_is_suggested_in_the_planning_frame_with_the_orientation_of_the_goal() -> None:
+    for key in ("nearest_m", "free_m"):
+        found: Any = suggestion({}, {key: [0.1, 0.2, 0.3]}, ROBOT)
+        assert found.topic == "/moveit_goal_pose"
+        assert found.msg["header"]["frame_id"] == ROBOT.root_link
+        assert found.msg["pose"]["position"] == {"x": 0.1, "y": 0.2, "z": 0.3}
+        assert "(0.100, 0.200, 0.300) m" in found.words
+    for free_m, repeated in (([0.1002, 0.2, 0.3], False), ([0.1, 0.2, 0.25], True)):
+        told: Any = suggestion({}, {"free_m": free_m, "nearest_m": [0.1, 0.2, 0.3], "distance_m": 0.5}, ROBOT)
+        assert told.msg["pose"]["position"]["z"] == free_m[2]
+        assert (told.words != "that point") is repeated
+    told = suggestion(pose_stamped("base", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED)
+    assert told.msg["pose"]["orientation"] == TURNED
+    assert suggestion(pose_stamped("tool", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED) is None
 
 
 LIFTED = model.parse(LIFTED_URDF, LIFTED_SRDF)
@@ -93,18 +97,15 @@ def lifted() -> GoalTranslator:
     return translator(FakeArm(None), LIFTED)
 
 
-def test_seven_joints_are_brought_to_the_whole_pose(lifted: GoalTranslator) -> None:
+def test_seven_joints_are_brought_to_the_whole_pose_and_need_an_orientation(lifted: GoalTranslator) -> None:
     asked = goal(lifted.pose(pose_stamped("base", TURNED, x=0.4, z=0.9)), LIFTED_HOME)
     assert asked == PoseGoal("tool", Pose((0.4, 0.0, 0.9), (0.0, 0.0, 1.0, 0.0)), 0.01, (0.01,) * 3, strict=True)
+    for orientation in (dict.fromkeys("xyzw", 0.0), {**TURNED, "w": 1.0}):
+        failure = rejection(lifted.pose, pose_stamped("base", orientation, x=0.4))
+        assert_refused(failure, INVALID, "pose.orientation must be a unit quaternion", "group arm has 7 joints")
 
 
-@pytest.mark.parametrize("orientation", [dict.fromkeys("xyzw", 0.0), {**TURNED, "w": 1.0}])
-def test_seven_joints_need_an_orientation(lifted: GoalTranslator, orientation: dict[str, float]) -> None:
-    failure = rejection(lifted.pose, pose_stamped("base", orientation, x=0.4))
-    assert_refused(failure, INVALID, "pose.orientation must be a unit quaternion", "group arm has 7 joints")
-
-
-def test_the_joints_of_a_goal_name_its_group(lifted: GoalTranslator) -> None:
+def test_a_goal_is_of_the_group_that_its_joints_name_or_of_the_selected_one(lifted: GoalTranslator) -> None:
     for names, group in (
         (["a1", "a7"], "arm"),
         (["lift", "a1"], "arm_with_torso"),
@@ -114,25 +115,9 @@ def test_the_joints_of_a_goal_name_its_group(lifted: GoalTranslator) -> None:
     ):
         motion = lifted.joints(message("sensor_msgs/JointState", name=names, position=[0.01] * len(names)))
         assert motion.steps[0].problem(LIFTED_HOME).group == group, names
-
-
-def test_a_named_target_and_a_pose_are_of_the_selected_group(lifted: GoalTranslator) -> None:
     for group, named in (("arm", "bent"), ("arm_with_torso", "raised")):
         lifted.select_group(group)
         for motion in (lifted.named({"data": named}), lifted.pose(pose_stamped("base", TURNED, x=0.4, z=0.9))):
             assert motion.steps[0].problem(LIFTED_HOME).group == group
     lifted.select_group("arm")
     assert_refused(rejection(lifted.named, {"data": "raised"}), INVALID, "there is no named target 'raised'")
-
-
-def test_a_suggested_point_keeps_the_orientation_of_the_goal() -> None:
-    told: Any = suggestion(pose_stamped("base", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED)
-    assert told.msg["pose"]["orientation"] == TURNED
-    assert suggestion(pose_stamped("tool", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED) is None
-
-
-@pytest.mark.parametrize(("free_m", "repeated"), [([0.1002, 0.2, 0.3], False), ([0.1, 0.2, 0.25], True)])
-def test_a_point_that_the_sentence_names_already_is_not_repeated(free_m: list[float], repeated: bool) -> None:
-    told: Any = suggestion({}, {"free_m": free_m, "nearest_m": [0.1, 0.2, 0.3], "distance_m": 0.5}, ROBOT)
-    assert told.msg["pose"]["position"]["z"] == free_m[2]
-    assert (told.words != "that point") is repeated

@@ -87,23 +87,17 @@ def test_a_goal_that_cannot_be_is_refused_by_its_place(messages, code, words) ->
     assert_refused(goal(*messages), code, *words)
 
 
-def test_path_constraints_are_read_in_full() -> None:
+def test_path_constraints_are_read_in_full_and_refused_if_they_cannot_be() -> None:
     elbow, orientation = joint("elbow_flex", 0.0, 0.5, 0.5), turned((0.1, 0.2, 7.0))
     held = on_the_way(joint_constraints=[elbow], position_constraints=[BALL], orientation_constraints=[orientation])
     assert (held.joints[0].joint, held.positions[0].radius_m) == ("elbow_flex", 0.005)
     assert held.orientations[0].tolerance_rad[:2] == (0.1, 0.2)
-
-
-BAD_WAYS = [
-    ({"position_constraints": [region((SPHERE, [0.01]), (SPHERE, [0.02]), poses=[AT] * 2)]}, "2 regions"),
-    ({"visibility_constraints": [{}]}, "path_constraints.visibility_constraints"),
-    ({"joint_constraints": [joint("elbow_flex", angle, 0.1, 0.1) for angle in (0.5, -0.5)]}, "'elbow_flex'"),
-]
-
-
-@pytest.mark.parametrize(("fields", "words"), BAD_WAYS)
-def test_a_way_that_cannot_be_is_refused(fields, words) -> None:
-    assert_refused(on_the_way(**fields), INVALID, "path_constraints", words)
+    for fields, words in (
+        ({"position_constraints": [region((SPHERE, [0.01]), (SPHERE, [0.02]), poses=[AT] * 2)]}, "2 regions"),
+        ({"visibility_constraints": [{}]}, "path_constraints.visibility_constraints"),
+        ({"joint_constraints": [joint("elbow_flex", angle, 0.1, 0.1) for angle in (0.5, -0.5)]}, "'elbow_flex'"),
+    ):
+        assert_refused(on_the_way(**fields), INVALID, "path_constraints", words)
 
 
 ELBOW = ROBOT.joints["elbow_flex"]
@@ -125,33 +119,27 @@ def test_positions_are_within_the_limits_and_ranges_contain_them(position, above
     assert min(one.above_rad, one.below_rad) >= 0.0
 
 
-def test_a_position_beyond_the_limit_within_its_tolerance_is_clamped_with_a_warning() -> None:
+def test_a_position_beyond_the_limit_is_clamped_within_its_tolerance_and_else_refused() -> None:
     reading = context()
     (one,) = read_joints(joint("elbow_flex", ELBOW.upper + 0.3, below=0.4), reading=reading)
     assert one.position_rad == ELBOW.upper
     assert "elbow_flex" in reading.warnings[0]
-
-
-def test_a_position_far_beyond_the_limit_is_refused_with_joint_value_and_limits() -> None:
     failure = rejection(read_joints, joint("elbow_flex", 2.0))
     assert_refused(failure, INVALID, "'elbow_flex'", "2", "-1.69 to 1.69")
     assert failure.details["upper_rad"] == ELBOW.upper
 
 
-BAD_JOINTS = [
-    (joint("knee", 0.1), ("'knee'", "elbow_flex", "goal_constraints[0].joint_constraints[0]")),
-    (joint("gripper_frame_joint", 0.1), ("'gripper_frame_joint'",)),
-    (joint("elbow_flex", math.nan), ("position", "nan")),
-    (joint("elbow_flex", 0.1, above=-0.1), ("tolerance_above", "-0.1")),
-    (joint("elbow_flex", 0.1, below=-0.1), ("tolerance_below", "-0.1")),
-    (joint("elbow_flex", 0.1, above=math.inf), ("tolerance_above", "inf")),
-    (joint("elbow_flex", 0.1, weight=math.nan), ("weight", "nan")),
-]
-
-
-@pytest.mark.parametrize(("bad", "words"), BAD_JOINTS)
-def test_a_senseless_constraint_is_refused_by_field_and_value(bad, words) -> None:
-    assert_refused(rejection(read_joints, bad), INVALID, *words)
+def test_a_senseless_constraint_is_refused_by_field_and_value() -> None:
+    for bad, words in (
+        (joint("knee", 0.1), ("'knee'", "elbow_flex", "goal_constraints[0].joint_constraints[0]")),
+        (joint("gripper_frame_joint", 0.1), ("'gripper_frame_joint'",)),
+        (joint("elbow_flex", math.nan), ("position", "nan")),
+        (joint("elbow_flex", 0.1, above=-0.1), ("tolerance_above", "-0.1")),
+        (joint("elbow_flex", 0.1, below=-0.1), ("tolerance_below", "-0.1")),
+        (joint("elbow_flex", 0.1, above=math.inf), ("tolerance_above", "inf")),
+        (joint("elbow_flex", 0.1, weight=math.nan), ("weight", "nan")),
+    ):
+        assert_refused(rejection(read_joints, bad), INVALID, *words)
 
 
 def test_several_on_one_joint_are_their_common_range() -> None:
@@ -187,14 +175,11 @@ def test_chosen_tolerances_bind_five_joints_and_all_bind_seven() -> None:
             assert is_binding(read_orientation(turned(each)).tolerance_rad, context(robot)) is binds, each
 
 
-def test_the_goal_of_a_region_is_its_middle() -> None:
+def test_the_goal_of_a_region_is_its_middle_and_a_cylinder_is_the_box_within_it() -> None:
     assert goal({"position_constraints": [ball(0.3, 0.0, 0.2, 0.02)]}) == PositionGoal(TIP, (0.3, 0.0, 0.2), 0.02)
     box = region((BOX, [0.02, 0.02, 0.03]), poses=[AT])
     assert goal({"position_constraints": [box]}).tolerance_m == 0.01
     assert on_the_way(position_constraints=[box]).positions[0].half_size_m == (0.01, 0.01, 0.015)
-
-
-def test_a_cylinder_is_the_box_within_it() -> None:
     cylinder = region((CYLINDER, [0.1, 0.02]), poses=[AT])
     x, y, z = on_the_way(position_constraints=[cylinder]).positions[0].half_size_m
     assert math.hypot(x, y) == pytest.approx(0.02)

@@ -28,41 +28,33 @@ def test_a_start_slightly_beyond_a_limit_is_clamped_with_a_warning(beyond: float
     assert all("elbow_flex" in warning for warning in warnings)
 
 
-@pytest.mark.parametrize(
-    ("name", "position", "words"),
-    [
+def test_a_state_that_is_none_is_refused_by_name() -> None:
+    for name, position, words in (
         (["elbow_flex"], [math.nan], ["'elbow_flex'", "nan"]),
         (["elbow_flex"], [math.inf], ["'elbow_flex'", "inf"]),
         (["knee"], [0.1], ["'knee'", "elbow_flex"]),
         (["elbow_flex"], [], ["1 entries", "0"]),
         (["elbow_flex"] * 2, [0.1, 0.2], ["more than once"]),
-    ],
-)
-def test_a_state_that_is_none_is_refused_by_name(name, position, words) -> None:
-    told = message("RobotState", joint_state={"name": name, "position": position})
-    assert_refused(rejection(start_positions, told, HOME, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, *words)
+    ):
+        told = message("RobotState", joint_state={"name": name, "position": position})
+        assert_refused(rejection(start_positions, told, HOME, ROBOT), MoveItErrorCode.INVALID_ROBOT_STATE, *words)
 
 
 HELD = held("mug", **box("mug", frame="gripper_link"))
 
 
-def test_a_request_s_state_overrides_that_which_its_client_alone_assumes(rig: ServiceRig) -> None:
+def test_a_request_starts_at_its_own_state_its_clients_or_that_of_an_arm_that_is_read(rig: ServiceRig) -> None:
     rig.context.assumed.assume(rig.client, {"elbow_flex": 0.7})
     assert rig.context.start(state(), rig.client).start_rad == HOME | {"elbow_flex": 0.7}
     assert rig.context.start(state(), Node("other")).start_rad == HOME
     rig.context.assumed.assume(rig.client, {"elbow_flex": 0.7, "wrist_roll": 0.1})
     start = rig.context.start(state({"elbow_flex": 0.2}), rig.client).start_rad
     assert start == HOME | {"elbow_flex": 0.2, "wrist_roll": 0.1}
-
-
-def test_an_arm_that_is_not_read_is_no_start(rig: ServiceRig) -> None:
     rig.arm.lose_positions()
     assert_refused(rejection(rig.context.start, state(), rig.client), MoveItErrorCode.ROBOT_STATE_STALE)
 
 
-def test_attached_objects_of_a_start_state_count_for_its_request_alone_and_a_whole_one_detaches_others(
-    rig: ServiceRig,
-) -> None:
+def test_objects_attached_in_a_start_state_count_for_its_request_alone(rig: ServiceRig) -> None:
     scene = rig.context.start(state(is_diff=True, attached_collision_objects=[HELD]), rig.client).scene
     assert [held.object.name for held in scene.attached] == ["mug"]
     assert not rig.scene_state.scene.attached

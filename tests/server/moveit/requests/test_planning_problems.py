@@ -127,7 +127,7 @@ def path(planner=planning_problems.STRAIGHT, problem=TO_POINT, arc=NO_ARC, tip_s
     return planning_problems.tip_problem(planner, problem, arc, tip_speed, context())
 
 
-def test_a_line_ends_at_the_goal_in_whatever_orientation() -> None:
+def test_a_line_ends_at_the_goal_in_whatever_orientation_and_several_points_are_no_path() -> None:
     line = path()
     assert [segment.end.position_m for segment in line.segments] == [END]
     assert isinstance(line.segments[0], Line)
@@ -135,6 +135,9 @@ def test_a_line_ends_at_the_goal_in_whatever_orientation() -> None:
     # A joint goal is where it brings the tip.
     bent = path(problem=PlanningProblem("arm", HOME, JointGoal({"elbow_flex": 0.4})))
     assert bent.segments[0].end == FRAMES.resolve(TIP, HOME | {"elbow_flex": 0.4})
+    goal = PositionGoal(TIP, END, 0.005, (math.pi, 0.0, 0.0))
+    refused = rejection(path, problem=PlanningProblem("arm", HOME, goal))
+    assert_refused(refused, INVALID, "one pose of one link")
 
 
 @pytest.mark.parametrize(("tip_speed", "kept"), [(0.0, None), (0.05, 0.05)])
@@ -144,12 +147,9 @@ def test_a_strict_pose_keeps_its_orientation_and_the_speed_asked_for_on_the_way(
     assert (line.keep_orientation, line.orientation_tolerance_rad, line.tip_speed_m_s) == (True, 0.2, kept)
 
 
-def test_a_circle_leads_through_its_interim_point() -> None:
+def test_a_circle_leads_through_its_interim_point_or_the_shorter_way_around_its_center() -> None:
     arc = constraints(name="interim", position_constraints=[ball(0.35, 0.03, 0.22)])
     assert [segment.via_m for segment in path(planning_problems.CIRCULAR, arc=arc).segments] == [(0.35, 0.03, 0.22)]
-
-
-def test_a_circle_about_a_center_is_the_shorter_way_around_it() -> None:
     start = np.array(FRAMES.resolve(TIP, HOME).position_m)
     center = 0.5 * (start + END) + (0.0, 0.0, -0.1)
     arc = constraints(name="center", position_constraints=[ball(*center.tolist())])
@@ -172,12 +172,6 @@ BAD_ARCS = [
 @pytest.mark.parametrize(("arc", "words"), BAD_ARCS)
 def test_a_circle_without_a_point_is_refused(arc, words) -> None:
     assert_refused(rejection(path, planner=planning_problems.CIRCULAR, arc=arc), INVALID, words)
-
-
-def test_a_goal_of_several_points_is_no_path() -> None:
-    goal = PositionGoal(TIP, END, 0.005, (math.pi, 0.0, 0.0))
-    refused = rejection(path, problem=PlanningProblem("arm", HOME, goal))
-    assert_refused(refused, INVALID, "one pose of one link")
 
 
 def read(*items):

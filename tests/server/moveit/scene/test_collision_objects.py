@@ -42,16 +42,13 @@ RICH = collision_object(
 )
 
 
-def test_an_object_is_written_as_it_was_read_with_shapes_in_its_frame_in_moveits_order():
+def test_an_object_is_written_as_it_was_read_and_without_a_pose_has_that_of_its_single_shape():
     thing = read_collision_object(RICH, "base_link", "it")
     assert thing.message == RICH
     assert [type(shape) for shape, _ in thing.shapes] == [Box, Sphere, Plane]
     assert [at.position_m[0] for _, at in thing.shapes] == [0.1, 0.2, 0.0]
     assert thing.scene_object.pose.position_m == (1.0, 2.0, 3.0)
     assert thing.subframes == {"hook": Pose((0.0, 0.4, 0.0))}
-
-
-def test_an_object_without_a_pose_gets_that_of_its_single_shape():
     thing = read_collision_object(collision_object(**box("b"), primitive_poses=[pose(0.3)]), "", "it")
     assert thing.pose == Pose((0.3, 0.0, 0.0))
     assert thing.shapes[0][1] == Pose()
@@ -95,25 +92,16 @@ def mesh(vertices, *triangles):
     return {"vertices": vertices, "triangles": [{"vertex_indices": list(each)} for each in triangles]}
 
 
-@pytest.mark.parametrize(
-    ("message", "shape"),
-    [
+def test_a_primitive_is_read_by_its_type_a_prism_as_a_mesh_and_a_plane_with_a_unit_normal():
+    for message, shape in (
         (primitive(BOX, 1.0, 2.0, 3.0), Box((1.0, 2.0, 3.0))),
         (primitive(SPHERE, 0.1), Sphere(0.1)),
         (primitive(SPHERE, 0.1, 0.0, 0.0), Sphere(0.1)),
         (primitive(CYLINDER, 0.5, 0.1), Cylinder(radius_m=0.1, height_m=0.5)),
         (primitive(CONE, 0.5, 0.1), Cone(radius_m=0.1, height_m=0.5)),
-    ],
-)
-def test_a_primitive_is_read_by_its_type(message, shape):
-    assert read_primitive(message, "it") == shape
-
-
-def test_a_prism_is_a_mesh():
+    ):
+        assert read_primitive(message, "it") == shape
     assert len(read_primitive(primitive(PRISM, 0.5, points=[(0, 0), (1, 0), (0, 1)]), "it").triangles) == 8
-
-
-def test_a_plane_is_brought_to_a_unit_normal_and_is_solid_where_the_normal_does_not_point():
     assert read_plane({"coef": [0.0, 0.0, 2.0, -1.0]}, "it") == Plane((0.0, 0.0, 1.0), 0.5)
 
 

@@ -25,13 +25,19 @@ class Files:
         return (await called(self.graph, service, file_path_and_name=name)).values["success"]
 
 
-async def test_a_saved_scene_is_loaded(tmp_path):
+async def test_a_saved_scene_is_loaded_and_its_size_bounded_both_ways(tmp_path, monkeypatch, caplog):
     files = Files(tmp_path)
     assert await files.call(geometry_files.SAVE, "kitchen.scene")
     files.state.apply(files.state.world(message("PlanningSceneWorld")), BENT)
     assert files.state.contents.objects == {}
     assert await files.call(geometry_files.LOAD, str(tmp_path / "kitchen.scene"))
     assert list(files.state.contents.objects) == ["cup", "pen"]
+    assert await files.call(geometry_files.SAVE, "fits")
+    monkeypatch.setattr(geometry_files, "MAX_FILE_BYTES", 10)
+    with caplog.at_level(logging.WARNING, "armbridge"):
+        assert not await files.call(geometry_files.SAVE, "new")
+        assert not await files.call(geometry_files.LOAD, "fits")
+    assert caplog.text.count("more than 10") == 2
 
 
 @pytest.mark.parametrize("service", [geometry_files.SAVE, geometry_files.LOAD])
@@ -65,16 +71,6 @@ async def test_a_missing_or_malformed_file_changes_nothing(tmp_path, caplog):
             assert not await files.call(geometry_files.LOAD, name)
     assert files.state.contents is before
     assert len(caplog.records) == 4
-
-
-async def test_the_size_of_files_is_bounded_both_ways(tmp_path, monkeypatch, caplog):
-    files = Files(tmp_path)
-    assert await files.call(geometry_files.SAVE, "fits")
-    monkeypatch.setattr(geometry_files, "MAX_FILE_BYTES", 10)
-    with caplog.at_level(logging.WARNING, "armbridge"):
-        assert not await files.call(geometry_files.SAVE, "new")
-        assert not await files.call(geometry_files.LOAD, "fits")
-    assert caplog.text.count("more than 10") == 2
 
 
 EDGES = [{"x": 0.0, "y": 0.0, "z": 0.0}, {"x": 0.1, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.3, "z": 0.0}]

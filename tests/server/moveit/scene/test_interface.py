@@ -107,12 +107,16 @@ async def test_the_answer_is_a_complete_message():
     assert client.call(interface.CLEAR_OCTOMAP) == {}
 
 
-def test_a_refusal_tells_its_reason_beside_the_response_and_in_the_log(caplog):
+def test_a_refusal_tells_its_reason_in_response_and_log_and_is_of_all_that_comes_with_it(caplog):
     scene = {"is_diff": True, "world": {"collision_objects": [{"id": "ghost", "operation": 1}]}}
     response = answered(Client().graph, interface.APPLY, scene=scene)
     assert response.values == {"success": False}
     assert response.reason.startswith("refused, nothing is changed: world.collision_objects[0]: there is no object")
     assert "no object 'ghost'" in caplog.text
+    client = Client()
+    bad = {"is_diff": True, "joint_state": {"name": ["knee"], "position": [0.0]}}
+    assert not client.apply(robot_state=bad, world={"collision_objects": [box("cup")]})
+    assert client.state.contents.objects == {}
 
 
 MANY = [box(str(number), at=pose(2.0)) for number in range(100)]
@@ -177,31 +181,6 @@ async def test_moving_frames_are_where_the_client_assumes_the_arm():
     assert client.apply(robot_state=state_of(0.5), world={"collision_objects": [lid]})
     expected = FORWARD.transforms(dict.fromkeys(JOINTS, 0.5))["gripper_link"]
     np.testing.assert_allclose(matrix_of(client.state.contents.objects["lid"].pose), expected, atol=1e-12)
-
-
-def test_a_state_that_is_none_is_refused_with_all_that_comes_with_it():
-    client = Client()
-    bad = {"is_diff": True, "joint_state": {"name": ["knee"], "position": [0.0]}}
-    assert not client.apply(robot_state=bad, world={"collision_objects": [box("cup")]})
-    assert client.state.contents.objects == {}
-
-
-async def test_an_object_attached_again_as_by_compas_fab_stays_attached():
-    """Put everything down, assume a state, move the thing to the hand, take it by its name alone."""
-    client = Client()
-    assert client.apply(world={"collision_objects": [box("tool")]})
-    for position_rad in (0.1, 0.4, -0.2):
-        put_down = [
-            {"link_name": held["link_name"], "object": {"operation": 1}}
-            for held in client.get(671)["robot_state"]["attached_collision_objects"]
-        ]
-        assert client.apply(robot_state={**state_of(position_rad), "attached_collision_objects": put_down})
-        move = {"id": "tool", "header": {"frame_id": "gripper_link"}, "pose": pose(0.1), "operation": 3}
-        assert client.apply(world={"collision_objects": [move]})
-        take = {"link_name": "gripper_link", "object": {"id": "tool", "header": {"frame_id": "gripper_link"}}}
-        assert client.apply(robot_state={"is_diff": True, "attached_collision_objects": [take]})
-        held = client.state.contents.attached["tool"].collision_object.pose
-        np.testing.assert_allclose(held.position_m, (0.1, 0.0, 0.0), atol=1e-12)
 
 
 # Not the default.

@@ -68,9 +68,8 @@ def test_attached_objects_change_before_those_of_the_world():
 LISTED = {"is_diff": False, "joint_state": {"name": ["gripper"], "position": [0.0]}}
 
 
-@pytest.mark.parametrize(
-    ("scene", "still_held"),
-    [
+def test_a_state_that_is_no_diff_detaches_unlisted_objects_unless_it_is_empty():
+    for scene, still_held in (
         # A whole scene whose state is a diff keeps them.
         (message("PlanningScene", robot_state={"is_diff": True}), ["cup"]),
         (diff(robot_state={"is_diff": False}), ["cup"]),
@@ -80,18 +79,13 @@ LISTED = {"is_diff": False, "joint_state": {"name": ["gripper"], "position": [0.
         # Missing fields change nothing, but a state of attached objects does.
         ({"is_diff": True}, ["cup"]),
         ({"is_diff": True, "robot_state": {"is_diff": False, "attached_collision_objects": []}}, []),
-    ],
-)
-def test_a_state_that_is_no_diff_detaches_unlisted_objects_unless_it_is_empty(scene, still_held):
-    assert list(changed(TAKE_CUP, scene).attached) == still_held
+    ):
+        assert list(changed(TAKE_CUP, scene).attached) == still_held
 
 
-def test_a_matrix_replaces_the_one_before_and_an_empty_one_is_ignored():
+def test_a_matrix_is_kept_unless_it_is_empty_and_padding_and_scale_unless_they_are_the_default():
     changing = changed(diff(allowed_collision_matrix=ACM), diff())
     assert changing.allowed_collisions.names == ("a", "b")
-
-
-def test_padding_and_scale_are_kept_unless_they_are_the_default():
     padding = [{"link_name": link, "padding": value} for link, value in (("wrist_link", 0.01), ("base_link", 0.0))]
     scale = [{"link_name": link, "scale": value} for link, value in (("wrist_link", 1.1), ("base_link", 1.0))]
     changing = changed(diff(link_padding=padding, link_scale=scale))
@@ -153,16 +147,13 @@ def test_an_equal_object_or_pose_keeps_the_present_one():
     assert before.objects["cup"].pose == Pose((0.4, 0.0, 0.0))
 
 
-def test_append_adds_shapes_where_the_message_has_them():
+def test_append_adds_shapes_where_the_message_has_them_and_rounds_no_poses():
     append = {"id": "cup", "primitives": [BALL], "primitive_poses": [pose(0.3, 0.2)], "operation": APPEND}
     thing = after_objects(append).objects["cup"]
     assert thing.pose.position_m == (0.3, 0.0, 0.0)
     assert [type(shape) for shape, _ in thing.shapes] == [Box, Sphere]
     placed = matrix_of(thing.pose) @ matrix_of(thing.shapes[1][1])
     np.testing.assert_allclose(placed[:3, 3], (0.3, 0.2, 0.0), atol=1e-12)
-
-
-def test_append_with_the_objects_own_pose_does_not_round_poses():
     append = {**TURNED_CUP, "primitives": [BALL], "primitive_poses": [pose(0.1)], "operation": APPEND}
     thing = after_objects(append | {"subframe_names": ["rim"], "subframe_poses": [pose(0.2)]}).objects["cup"]
     assert thing.shapes[1][1] == Pose((0.1, 0.0, 0.0))
@@ -181,21 +172,18 @@ def test_move_needs_no_shapes_and_may_move_those_within_the_object():
     assert (thing.pose, thing.shapes[0][1]) == (Pose((0.7, 0.0, 0.0)), Pose())
 
 
-@pytest.mark.parametrize(
-    ("message", "words"),
-    [
+def test_an_object_that_cannot_be_used_is_refused():
+    for asked, words in (
         ({"id": "ghost", "operation": MOVE}, "'ghost'"),
         ({"id": "ghost", "operation": REMOVE}, "'ghost'"),
         ({"id": "cup", "primitive_poses": [pose()] * 2, "operation": MOVE}, "poses of 2 shapes; 'cup' has 1"),
         ({**box("x"), "operation": 7}, "must be one of 0 (ADD), 1 (REMOVE), 2 (APPEND), 3 (MOVE), not 7"),
         (box("x", frame="nowhere"), "no frame 'nowhere'"),
         ({"id": "cup", "pose": pose(math.nan), "operation": MOVE}, "it.pose.position.x"),
-    ],
-)
-def test_an_object_that_cannot_be_used_is_refused(message, words):
-    failure = rejection(after_objects, message)
-    assert words in failure.message
-    assert (failure.code is MoveItErrorCode.INVALID_OBJECT_NAME) is (words == "'ghost'")
+    ):
+        failure = rejection(after_objects, asked)
+        assert words in failure.message
+        assert (failure.code is MoveItErrorCode.INVALID_OBJECT_NAME) is (words == "'ghost'")
 
 
 LINKS = FORWARD.transforms(BENT)
@@ -216,19 +204,32 @@ def new(name, *, at, frame, **fields):
     return held(name, **{**box(name, at=at, frame=frame), **fields})
 
 
-def test_attach_takes_the_object_from_the_world_or_from_another_frame():
+def test_attach_takes_objects_from_where_they_are_and_detach_leaves_them_where_they_are_now():
     changing = after_attached(held("cup"))
     assert changing.objects == {}
     np.testing.assert_allclose(place_in_root(changing.attached["cup"])[:3, 3], (0.3, 0.0, 0.0), atol=1e-12)
     thing = after_attached(new("tool", at=pose(0.1), frame="cup")).attached["tool"]
     np.testing.assert_allclose(place_in_root(thing)[:3, 3], (0.4, 0.0, 0.0), atol=1e-12)
+    changing = after_attached(held("cup"), held("cup", "", operation=REMOVE))
+    assert changing.attached == {}
+    np.testing.assert_allclose(matrix_of(changing.objects["cup"].pose), matrix_of(Pose((0.3, 0.0, 0.0))), atol=1e-12)
+    taken, all_of_the_wrist = (held("cup"), held("pen", "wrist_link")), held("", "wrist_link", operation=REMOVE)
+    changing = after_attached(*taken, all_of_the_wrist, before=(CUP, collision_object(**box("pen"))))
+    assert (list(changing.attached), list(changing.objects)) == (["cup"], ["pen"])
 
 
-def test_touch_links_weight_and_posture_are_kept():
+def test_touch_links_weight_and_posture_are_kept_and_append_adds_shapes_and_touch_links():
     posture = message("trajectory_msgs/JointTrajectory", joint_names=["gripper"])
     told = {**held("cup", touch_links=("wrist_link", "wrist_link")), "weight": 0.5, "detach_posture": posture}
     thing = after_attached(told).attached["cup"]
     assert (thing.touch_links, thing.weight, thing.detach_posture) == (("wrist_link",), 0.5, posture)
+    append = {"operation": APPEND, "primitives": [BALL], "header": {"frame_id": "gripper_link"}}
+    tool = new("tool", at=pose(0.1), frame="gripper_link") | {"touch_links": ["lower_arm_link"]}
+    thing = after_attached(tool, held("tool", touch_links=("wrist_link",), **append)).attached["tool"]
+    assert thing.collision_object.pose == Pose((0.1, 0.0, 0.0))
+    assert isinstance(thing.attached_object.object.shapes[0][0], Box)
+    np.testing.assert_allclose(thing.collision_object.shapes[1][1].position_m, (-0.1, 0.0, 0.0), atol=1e-12)
+    assert thing.touch_links == ("lower_arm_link", "wrist_link")
 
 
 @pytest.mark.parametrize("touch_links", [("wrist_link",), ("wrist_link", "wrist_link")])
@@ -240,25 +241,6 @@ def test_attach_of_an_equal_object_keeps_the_present_one(touch_links):
     assert again.attached["tool"] is before.attached["tool"]
     planning_scene.apply_attached_object(again, {**told, "weight": 0.5}, "it")
     assert again.attached["tool"].weight == 0.5
-
-
-def test_append_adds_shapes_and_touch_links():
-    append = {"operation": APPEND, "primitives": [BALL], "header": {"frame_id": "gripper_link"}}
-    tool = new("tool", at=pose(0.1), frame="gripper_link") | {"touch_links": ["lower_arm_link"]}
-    thing = after_attached(tool, held("tool", touch_links=("wrist_link",), **append)).attached["tool"]
-    assert thing.collision_object.pose == Pose((0.1, 0.0, 0.0))
-    assert isinstance(thing.attached_object.object.shapes[0][0], Box)
-    np.testing.assert_allclose(thing.collision_object.shapes[1][1].position_m, (-0.1, 0.0, 0.0), atol=1e-12)
-    assert thing.touch_links == ("lower_arm_link", "wrist_link")
-
-
-def test_detach_leaves_objects_where_they_are_now_and_without_a_name_all_of_the_link():
-    changing = after_attached(held("cup"), held("cup", "", operation=REMOVE))
-    assert changing.attached == {}
-    np.testing.assert_allclose(matrix_of(changing.objects["cup"].pose), matrix_of(Pose((0.3, 0.0, 0.0))), atol=1e-12)
-    taken, all_of_the_wrist = (held("cup"), held("pen", "wrist_link")), held("", "wrist_link", operation=REMOVE)
-    changing = after_attached(*taken, all_of_the_wrist, before=(CUP, collision_object(**box("pen"))))
-    assert (list(changing.attached), list(changing.objects)) == (["cup"], ["pen"])
 
 
 LINK, OBJECT = MoveItErrorCode.INVALID_LINK_NAME, MoveItErrorCode.INVALID_OBJECT_NAME

@@ -10,7 +10,6 @@ import pytest
 from planners.scene import Pose
 from robot.messages import ArmState, Mode
 from server import robot_files
-from server.actionlib import bridge_actions
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.topics import Graph
 from server.moveit.messages import matrix_of, pose_of
@@ -86,15 +85,7 @@ def test_only_meshes_and_textures_below_the_description_are_served(files: Path, 
         files_in(files).read(name)
 
 
-def test_files_too_large_or_of_no_description_are_refused(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
-    with pytest.raises(FileTooLargeError, match="5 bytes, the limit is 4"):
-        files_in(files).read("assets/base.stl")
-    with pytest.raises(ServiceError, match="names no files"):
-        files_in(None).read("assets/base.stl")
-
-
-def test_the_package_may_have_the_name_of_the_robot_or_of_its_folder_or_of_one_within(files: Path) -> None:
+def test_files_of_packages_are_found_and_those_too_large_refused(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("assets/base.stl", f"package://{PACKAGE}/assets/base.stl", "package://robot/assets/base.stl"):
         assert files_in(files).find(name) == files / "assets" / "base.stl", name
     inner = files / PACKAGE / "base.stl"
@@ -102,11 +93,14 @@ def test_the_package_may_have_the_name_of_the_robot_or_of_its_folder_or_of_one_w
     inner.write_bytes(b"solid")
     assert files_in(files).find(f"package://{PACKAGE}/base.stl") == inner
     assert files_in(files).find("package://assets/base.stl") == files / "assets" / "base.stl"
+    monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
+    with pytest.raises(FileTooLargeError, match="5 bytes, the limit is 4"):
+        files_in(files).read("assets/base.stl")
+    with pytest.raises(ServiceError, match="names no files"):
+        files_in(None).read("assets/base.stl")
 
 
-@pytest.fixture
-def packaged(tmp_path: Path) -> RobotFiles:
-    """Files of an arm whose URDF is in one package and whose meshes are in another, beside it."""
+def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(tmp_path: Path) -> None:
     (tmp_path / "arm_meshes" / "meshes" / "visual").mkdir(parents=True)
     (tmp_path / "arm_meshes" / "secret.stl").write_text("key")
     for name in ("base.dae", "skin.png", "notes.txt"):
@@ -114,10 +108,7 @@ def packaged(tmp_path: Path) -> RobotFiles:
     folder = tmp_path / "arm_description" / "urdf"
     folder.mkdir(parents=True)
     meshes = "package://arm_meshes/meshes/visual/base.dae", "package://gone/a.stl"
-    return RobotFiles(replace(ROBOT, urdf=urdf(*meshes), mesh_directory=folder, package_directories=(tmp_path,)))
-
-
-def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(packaged: RobotFiles) -> None:
+    packaged = RobotFiles(replace(ROBOT, urdf=urdf(*meshes), mesh_directory=folder, package_directories=(tmp_path,)))
     visual = "package://arm_meshes/meshes/visual"
     for name in ("base.dae", "skin.png"):
         assert packaged.read(f"{visual}/{name}") == name.encode()
@@ -194,7 +185,7 @@ def test_only_transforms_beyond_the_thresholds_are_sent_again_at_the_rate(
         assert world.moved() == moved
 
 
-def test_a_goal_ends_when_it_is_cancelled_and_when_its_sender_leaves(world: World) -> None:
+def test_goals_end_when_left_and_subscriptions_are_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     world.send_goal("a")
     world.send_goal("b")
     world.say("a", op="cancel_action_goal", id="g", action=description.ACTION)
@@ -203,6 +194,12 @@ def test_a_goal_ends_when_it_is_cancelled_and_when_its_sender_leaves(world: Worl
     world.client("b").leave()
     world.move(0.4)
     assert not world.republisher._goals
+    monkeypatch.setattr(description, "MAX_SUBSCRIPTIONS", 1)
+    world.send_goal("a")
+    world.say("c", op="call_service", service=description.SERVICE, args=REQUEST)
+    world.send_goal("c")
+    for answer in world.heard("c"):
+        assert (answer["result"], answer["values"]) == (False, "there are 1 subscriptions already, the limit")
 
 
 def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(world: World) -> None:
@@ -219,29 +216,6 @@ def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(wo
     assert topic in world.graph.topic_names.types()
     world.move(0.4)
     assert topic not in world.graph.topic_names.types()
-
-
-def test_a_client_of_ros1_hears_the_transforms_by_actionlib(world: World) -> None:
-    bridge_actions(world.graph, [description.ACTION], world.clock, world.clock.call_later)
-    goal_type = "tf2_web_republisher/TFSubscriptionActionGoal"
-    world.say("c", op="advertise", topic=f"{description.ACTION}/goal", type=goal_type)
-    world.say("c", op="subscribe", topic=f"{description.ACTION}/feedback")
-    world.say("c", op="publish", topic=f"{description.ACTION}/goal", msg={"goal_id": {"id": "g"}, "goal": REQUEST})
-    world.move(0.4)
-    (feedback,) = world.heard("c")
-    assert feedback["msg"]["status"]["goal_id"]["id"] == "g"
-    transform = feedback["msg"]["feedback"]["transforms"][0]
-    assert transform["child_frame_id"] == "gripper_link"
-    assert "secs" in transform["header"]["stamp"]
-
-
-def test_the_number_of_subscriptions_is_bounded(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(description, "MAX_SUBSCRIPTIONS", 1)
-    world.send_goal("a")
-    world.say("c", op="call_service", service=description.SERVICE, args=REQUEST)
-    world.send_goal("c")
-    for answer in world.heard("c"):
-        assert (answer["result"], answer["values"]) == (False, "there are 1 subscriptions already, the limit")
 
 
 class Screen:

@@ -30,9 +30,7 @@ from tests.helpers.moveit import (
 )
 
 
-async def test_every_service_answers_empty_requests_and_nonsense_also_for_an_arm_that_is_not_read(
-    rig: ServiceRig,
-) -> None:
+async def test_every_service_answers_empty_requests_and_nonsense_also_of_an_unread_arm(rig: ServiceRig) -> None:
     for known in (True, False):
         for name, offer in SERVICES.items():
             assert rig.graph.services.names.type_of(name) == f"moveit_msgs/srv/{offer.type_name}"
@@ -163,36 +161,30 @@ async def test_the_motions_before_a_failed_item_are_in_the_response(rig: Service
     assert len(response["planned_trajectories"]) == 1
 
 
-async def test_every_planner_is_listed_with_its_pipeline(rig: ServiceRig) -> None:
+async def test_every_planner_is_listed_and_the_parameters_that_were_set_are_returned(rig: ServiceRig) -> None:
     told = (await rig.call("/query_planner_interface"))["planner_interfaces"]
     by_pipeline = {one["pipeline_id"]: one["planner_ids"] for one in told}
     assert by_pipeline["ompl"] == list(PLANNER_IDS)
     assert by_pipeline["pilz_industrial_motion_planner"] == ["PTP", "LIN", "CIRC"]
-
-
-async def test_parameters_that_were_set_are_returned_and_one_that_changes_nothing_says_so(rig: ServiceRig) -> None:
     wanted = {"keys": ["num_planning_attempts", "range"], "values": ["3", "0.1"]}
     await rig.call("/set_planner_params", group="arm", params=wanted)
-    told = (await rig.call("/get_planner_params", group="arm"))["params"]
-    shown = {key: (value, text) for key, value, text in zip(*(told[field] for field in told), strict=True)}
+    params = (await rig.call("/get_planner_params", group="arm"))["params"]
+    shown = {key: (value, text) for key, value, text in zip(*(params[field] for field in params), strict=True)}
     assert (shown["num_planning_attempts"], shown["range"]) == (("3", ""), ("0.1", "kept, changes nothing"))
 
 
-BAD = [
-    ({"params": {"keys": ["range", "num_planning_attempts"], "values": ["1", "many"]}}, "num_planning_attempts"),
-    ({"params": {"keys": ["range"], "values": []}}, "1 entries"),
-    ({"group": "manipulator"}, "'manipulator'"),
-    ({"pipeline_id": "chomp"}, "'chomp'"),
-]
-
-
-@pytest.mark.parametrize(("fields", "words"), BAD)
-async def test_a_bad_parameter_fails_with_a_message_and_changes_nothing(rig: ServiceRig, fields, words) -> None:
-    before = await rig.call("/get_planner_params")
-    ok, said = await rig.outcome("/set_planner_params", **fields)
-    assert not ok
-    assert words in said
-    assert await rig.call("/get_planner_params") == before
+async def test_a_bad_parameter_fails_with_a_message_and_changes_nothing(rig: ServiceRig) -> None:
+    for fields, words in (
+        ({"params": {"keys": ["range", "num_planning_attempts"], "values": ["1", "many"]}}, "num_planning_attempts"),
+        ({"params": {"keys": ["range"], "values": []}}, "1 entries"),
+        ({"group": "manipulator"}, "'manipulator'"),
+        ({"pipeline_id": "chomp"}, "'chomp'"),
+    ):
+        before = await rig.call("/get_planner_params")
+        ok, said = await rig.outcome("/set_planner_params", **fields)
+        assert not ok, fields
+        assert words in said
+        assert await rig.call("/get_planner_params") == before, fields
 
 
 @pytest.mark.parametrize("name", ["arm", "gripper"])
@@ -233,22 +225,16 @@ async def tip_m(rig: ServiceRig, solution: Any, link: str = TIP) -> tuple[float,
     return tuple(told["pose"]["position"][axis] for axis in "xyz")
 
 
-async def test_forward_kinematics_leads_back_to_the_pose_in_the_nearest_orientation(rig: ServiceRig) -> None:
+async def test_a_pose_is_reached_in_the_nearest_orientation_a_moving_frame_by_several_links(rig: ServiceRig) -> None:
     # A seed beyond its limits is no obstacle.
     answer = await ik(rig, robot_state=start_state({"elbow_flex": 3.0}))
     assert answer["error_code"]["val"] == MoveItErrorCode.SUCCESS
     assert "degrees off" in answer["error_code"]["message"]
     assert await tip_m(rig, answer["solution"]) == pytest.approx((0.25, 0.05, 0.2), abs=2e-4)
-
-
-async def test_a_pose_in_a_moving_frame_is_placed_by_the_seed(rig: ServiceRig) -> None:
     seed = start_state({"shoulder_pan": 0.5})
     there = await tip_m(rig, seed)
     answer = await ik(rig, point(0.0, 0.0, 0.0, w=1.0), TIP, robot_state=seed)
     assert await tip_m(rig, answer["solution"]) == pytest.approx(there, abs=2e-4)
-
-
-async def test_several_links_are_placed_together(rig: ServiceRig) -> None:
     seed = start_state({"elbow_flex": 0.4})
     links = ["lower_arm_link", TIP]
     poses = [{"header": {}, "pose": point(*await tip_m(rig, seed, link), w=1.0)} for link in links]
@@ -264,23 +250,20 @@ def test_seven_joints_keep_the_orientations_of_several_links() -> None:
     assert all(len(one.tolerance_rad) == 3 for one in goal.constraints.orientations)
 
 
-BAD_POSES = [
-    ({"pose": point(0.9, 0.0, 0.2)}, -31, "nearest point it can reach"),
-    ({"group_name": "manipulator"}, -15, "'manipulator'"),
-    ({"ik_link_name": "hand"}, -18, "'hand'"),
-    ({"frame": "moon"}, -21, "'moon'"),
-    ({"pose": point(float("nan"), 0.0, 0.2)}, -16, "position.x"),
-    ({"ik_link_names": [TIP, "wrist_link"]}, -16, "2 entries and pose_stamped_vector 0"),
-    ({"robot_state": start_state({"knee": 0.0})}, -17, "'knee'"),
-    ({"timeout": {"nanosec": 10**9}}, -16, "ik_request.timeout.nanosec must be below 1000000000, not 1000000000"),
-]
-
-
-@pytest.mark.parametrize(("fields", "code", "words"), BAD_POSES)
-async def test_a_pose_without_solution_has_its_code_and_message(rig: ServiceRig, fields, code, words) -> None:
-    answer = await ik(rig, **fields)
-    assert answer["error_code"]["val"] == code
-    assert words in answer["error_code"]["message"]
+async def test_a_pose_without_solution_has_its_code_and_message(rig: ServiceRig) -> None:
+    for fields, code, words in (
+        ({"pose": point(0.9, 0.0, 0.2)}, -31, "nearest point it can reach"),
+        ({"group_name": "manipulator"}, -15, "'manipulator'"),
+        ({"ik_link_name": "hand"}, -18, "'hand'"),
+        ({"frame": "moon"}, -21, "'moon'"),
+        ({"pose": point(float("nan"), 0.0, 0.2)}, -16, "position.x"),
+        ({"ik_link_names": [TIP, "wrist_link"]}, -16, "2 entries and pose_stamped_vector 0"),
+        ({"robot_state": start_state({"knee": 0.0})}, -17, "'knee'"),
+        ({"timeout": {"nanosec": 10**9}}, -16, "ik_request.timeout.nanosec must be below 1000000000, not 1000000000"),
+    ):
+        answer = await ik(rig, **fields)
+        assert answer["error_code"]["val"] == code
+        assert words in answer["error_code"]["message"]
 
 
 async def test_a_solution_in_contact_counts_unless_contacts_are_to_be_avoided(rig: ServiceRig) -> None:

@@ -132,19 +132,15 @@ async def test_a_command_is_followed_at_once_where_the_loop_is_made_for_that() -
     await rig.session.close()
 
 
-@pytest.mark.parametrize(
-    ("how", "interruptions"), [(Outcome.STOPPED, ["steering was ended: so"]), (Outcome.UNSTEERED, [])]
-)
-async def test_an_ended_stream_ends_a_loop_and_has_nobody_let_go_after_a_pause_of_the_servers_own(
-    how: Outcome, interruptions: list[str]
-) -> None:
-    rig = Rig(period_s=1000.0)
-    rig.session.set_command(NORTH)
-    await rig.until_asked(1)
-    rig.arm.streams[0].ended.set_result(MotionEnded(0, how, "so"))
-    await rig.until_let_go()
-    assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: so")
-    assert rig.interruptions == interruptions
+async def test_an_ended_stream_ends_a_loop_and_has_nobody_let_go_after_a_pause_of_the_servers_own() -> None:
+    for how, interruptions in ((Outcome.STOPPED, ["steering was ended: so"]), (Outcome.UNSTEERED, [])):
+        rig = Rig(period_s=1000.0)
+        rig.session.set_command(NORTH)
+        await rig.until_asked(1)
+        rig.arm.streams[0].ended.set_result(MotionEnded(0, how, "so"))
+        await rig.until_let_go()
+        assert rig.told[-1] == (ServoStatus.INVALID, "steering was ended: so"), how
+        assert rig.interruptions == interruptions
 
 
 @pytest.mark.parametrize(("timeout_s", "lasts_s"), [(math.inf, TIMEOUT_S), (0.08, 0.08)])

@@ -6,6 +6,7 @@ import json
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from typing import Any
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -31,13 +32,33 @@ LATCHED = {
 }
 
 
+Condition = Callable[[list[dict[str, Any]]], object]
+
+
+@dataclass
+class Wait:
+    """A wait for messages of a topic."""
+
+    topic: str
+    condition: Condition
+    ended: asyncio.Future[list[dict[str, Any]]]
+
+    def look(self, messages: list[dict[str, Any]]) -> None:
+        """End the wait if the messages fulfil its condition."""
+        try:
+            if messages and not self.ended.done() and self.condition(messages):
+                self.ended.set_result(messages[:])
+        except Exception as error:  # noqa: BLE001 - it is the waiting test's
+            self.ended.set_exception(error)
+
+
 class FrameClient:
     """Sends frames, keeps what comes back by topic."""
 
     def __init__(self, websocket: ClientConnection) -> None:
         self.websocket = websocket
         self.topics: dict[str, list[dict[str, Any]]] = {}
-        self._news = asyncio.Condition()
+        self._waits: list[Wait] = []
         self._reader = asyncio.create_task(self._read())
 
     async def send(self, frame: str | dict[str, Any]) -> None:
@@ -56,6 +77,11 @@ class FrameClient:
     async def publish(self, topic: str, msg: dict[str, Any]) -> None:
         await self.send({"op": "publish", "topic": topic, "msg": msg})
 
+    async def set_speed(self, factor: float) -> None:
+        """Set the speed factor of motions: on a busy machine a slow motion lasts until a test has looked at it."""
+        msg = {"data": factor}
+        await self.send({"op": "publish", "topic": "/arm/speed_factor", "type": "std_msgs/Float64", "msg": msg})
+
     async def reach(self, topic: str, msg: dict[str, Any], timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
         """Publish a goal and wait for the next result."""
         seen = len(self.messages("/moveit_goal_result"))
@@ -65,13 +91,18 @@ class FrameClient:
     def messages(self, topic: str) -> list[dict[str, Any]]:
         return self.topics.get(topic, [])
 
-    async def until(
-        self, topic: str, condition: Callable[[list[dict[str, Any]]], bool], timeout_s: float = TIMEOUT_S
-    ) -> list[dict[str, Any]]:
-        """The messages of a topic, once there are some and they fulfil a condition."""
-        async with asyncio.timeout(timeout_s), self._news:
-            await self._news.wait_for(lambda: bool(self.messages(topic)) and condition(self.messages(topic)))
-        return self.messages(topic)
+    async def until(self, topic: str, condition: Condition, timeout_s: float = TIMEOUT_S) -> list[dict[str, Any]]:
+        """The messages of a topic, as they first were when there were some that fulfil a condition.
+
+        It is asked at each message: of those that come together no state is missed.
+        """
+        wait = Wait(topic, condition, asyncio.get_running_loop().create_future())
+        wait.look(self.messages(topic))
+        self._waits.append(wait)
+        try:
+            return await asyncio.wait_for(wait.ended, timeout_s)
+        finally:
+            self._waits.remove(wait)
 
     async def positions(self) -> dict[str, float]:
         """Return the position of every joint [rad or m], by a state that comes from now on."""
@@ -81,13 +112,15 @@ class FrameClient:
 
     async def _read(self) -> None:
         async for frame in self.websocket:
-            async with self._news:
-                self._take(json.loads(frame))
-                self._news.notify_all()
+            self._take(json.loads(frame))
 
     def _take(self, operation: dict[str, Any]) -> None:
+        topic = operation["topic"]
         operation["msg"]["_at_s"] = time.monotonic()
-        self.topics.setdefault(operation["topic"], []).append(operation["msg"])
+        self.topics.setdefault(topic, []).append(operation["msg"])
+        for wait in self._waits:
+            if wait.topic == topic:
+                wait.look(self.topics[topic])
 
     async def close(self) -> None:
         await self.websocket.close()
@@ -108,7 +141,7 @@ async def frame_client(url: str) -> AsyncIterator[FrameClient]:
         await client.close()
 
 
-def goal_is(state: str) -> Callable[[list[dict[str, Any]]], bool]:
+def goal_is(state: str) -> Condition:
     """Condition on the messages of /moveit_goal_status: the latest tells this state."""
     return lambda messages: values_of(messages[-1])["state"] == state
 

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import json
 import os
+import random
 import re
 import shlex
 import signal
@@ -142,11 +143,16 @@ class RunningServer:
         self._ready.set()
 
 
+# Below those that the kernel gives to connections, which would take a port between its choice and its use.
+PORTS = range(10_000, 32_768)
+
+
 def free_port() -> int:
     """A TCP port that nobody listens on."""
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return int(found.getsockname()[1])
+    while True:
+        with socket.socket() as found, contextlib.suppress(OSError):
+            found.bind(("127.0.0.1", random.SystemRandom().choice(PORTS)))
+            return int(found.getsockname()[1])
 
 
 def read_write_log(path: Path) -> list[dict[str, Any]]:

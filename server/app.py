@@ -50,6 +50,7 @@ from server.lifecycle import (
     BackgroundTask,
     Feature,
     Part,
+    Threads,
     on_hangup,
     start_in_order,
     stop_in_reverse,
@@ -84,6 +85,7 @@ def serve(settings: Settings, arm_process: StartedChild | None = None, inherited
     notifier = SystemdNotifier.from_environment()
 
     async def run(settings: Settings) -> None:
+        asyncio.get_running_loop().set_default_executor(Threads())
         app = App(settings, arm_process, inherited, notifier=notifier)
         while (following := await app.run()) is not None:
             settings, recalibrated = following
@@ -161,7 +163,7 @@ class App:
         They stop in reverse: goals and the arm first, which is brought to its end state; then the clients; then what
         nothing needs any more.
         """
-        arm = self._arms.whole.arm
+        arm, queue = self._arms.whole.arm, self._context.goals.queue
         zenoh = None if self.bridge is None else BackgroundTask("zenoh", self.bridge.run)
         return (
             # The recorder has taken messages since it was made, and is stopped last.
@@ -191,7 +193,7 @@ class App:
             Part("the planners' first plans", self._wait_for_planners),
             *parkings.last_clients,
             *self._cameras,
-            BackgroundTask("memory", MemoryKeeper(self._collector, self._nothing_moves).run),
+            BackgroundTask("memory", MemoryKeeper(self._collector, lambda: not (queue.busy() or moves(arm))).run),
             # A start that was refused leaves no file.
             Part("the recording's file", self._recording.open_file),
         )
@@ -245,9 +247,6 @@ class App:
         refusal = await self._pool.wait_until_loaded()
         if refusal is not None:
             raise StartError(f"the planners cannot load the robot: {refusal}")
-
-    def _nothing_moves(self) -> bool:
-        return not self._context.goals.queue.busy() and not moves(self._arms.whole.arm)
 
     def _what_runs_where(self) -> str:
         simulation = self._context.settings.simulation

@@ -7,6 +7,7 @@ import re
 import select
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from typing import NoReturn
 
@@ -49,6 +50,9 @@ COMMANDS = (
     add_report_parser,
 )
 
+# Time for threads to end what they do at the end of the process, such as writing a file [s].
+THREADS_END_S = 1.0
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
@@ -66,7 +70,8 @@ def run_process() -> NoReturn:
 
     A daemon thread is in the middle of a library's call when that did not end in time, as zenoh's with a machine that
     reads nothing. When such a thread comes back to an interpreter that is being finalized, Python ends it, for which a
-    library in Rust aborts the process (exit code 134). So the interpreter is not finalized then.
+    library in Rust aborts the process (exit code 134). So the interpreter is not finalized then. Nor is it where a
+    thread waits for a disk that does not answer: Python would wait for the thread without an end.
     """
     try:
         try:
@@ -80,7 +85,11 @@ def run_process() -> NoReturn:
         # https://docs.python.org/3/library/signal.html#note-on-sigpipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = ExitCode.FAILED
-    if any(thread.daemon for thread in threading.enumerate()):
+    until_s = time.monotonic() + THREADS_END_S
+    for thread in threading.enumerate():
+        if not thread.daemon and thread is not threading.current_thread():
+            thread.join(max(until_s - time.monotonic(), 0.0))
+    if threading.active_count() > 1:
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()

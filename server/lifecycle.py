@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +41,14 @@ class Part:
     stop: Callable[[], Awaitable[None]] = nothing
     deadline_s: float = 0.1
     beyond_total: bool = False
+
+
+class Threads(ThreadPoolExecutor):
+    """Threads for work that waits for a disk, which may never answer: the end of the event loop waits for none."""
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:  # noqa: ARG002
+        """Begin no more work, and let the work in progress be."""
+        super().shutdown(wait=False, cancel_futures=cancel_futures)
 
 
 class Feature:

@@ -338,10 +338,7 @@ class _Reader:
             group = self._robot.groups.get(self._group)
             if group is None or not group.tip_link:
                 lack = "which the robot does not have" if group is None else "whose joints are not one chain"
-                raise self._wrong(
-                    f"{where}.position",
-                    f"is for the tip of group {self._group!r}, {lack}: name a link",
-                )
+                raise self._wrong(f"{where}.position", f"is for the tip of group {self._group!r}, {lack}: name a link")
             return PositionGoal(group.tip_link, entry.position, entry.tolerance)
         given = entry.goal or {}
         if list(given) == [_ANY_OF] and isinstance(given[_ANY_OF], list):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -23,6 +23,7 @@ GJK_TOLERANCE = 1e-9
 # parallel, as on an arm in its zero position beside boxes; with any other margin 0 of 27 000.
 CONTACT_M = 1e-6
 
+NO_PAIRS: frozenset[int] = frozenset()
 UNKNOWN_M = 1e-9  # clearance of bodies that do not touch, where no more is known of it [m]
 
 # Finds the pairs whose boxes overlap. With each box compared to each other a check of 12 to 92 shapes takes 0.5 to 0.8
@@ -102,6 +103,7 @@ class Broadphase:
         self._any, self._contact, self._near = (self._geometry.createData() for _ in range(3))
         pin.forwardKinematics(model, self._data, pin.neutral(model))
         self._any_contact = self._detector(self._any, stop_at_first=True)
+        self._left_out = NO_PAIRS
         self._contacts, self._vicinity = self._detector(self._contact), self._detector(self._near)
         self._contact_results = list(self._contact.collisionResults)
         self._near_results = list(self._near.collisionResults)
@@ -116,10 +118,20 @@ class Broadphase:
             request.gjk_tolerance = GJK_TOLERANCE
         self._least_m = (CONTACT_M + apart_m).tolist()
 
-    def touches(self, q: Vector) -> int | None:
-        """Return a pair whose shapes touch, or are nearer than they may be; None if there is none."""
-        callback = self._any_contact[1]
-        return callback.collisionPairIndex if self._collide(q, self._any, self._any_contact) else None
+    def touches(self, q: Vector, left_out: frozenset[int] = NO_PAIRS) -> bool:
+        """Return true if the shapes of any pair touch, or are nearer than they may be, but some that are left out."""
+        if left_out is not self._left_out:
+            for pair in self._left_out:
+                self._any.activateCollisionPair(pair)
+            for pair in left_out:
+                self._any.deactivateCollisionPair(pair)
+            self._left_out = left_out
+        return self._collide(q, self._any, self._any_contact)
+
+    def touching_among(self, q: Vector, pairs: Iterable[int]) -> Iterator[int]:
+        """Yield the pairs that touch, out of some; place the shapes as :meth:`place` does."""
+        self.place(q)
+        return (pair for pair in pairs if self._touches_alone(pair, 0.0))
 
     def near(self, q: Vector, margin_m: Vector) -> list[tuple[int, float]]:
         """Return the pairs nearer than they may be and a margin, shape (pairs,) [m], with their clearances [m].
@@ -131,30 +143,31 @@ class Broadphase:
         if not self._collide(q, self._near, self._vicinity):
             return []
         found = [(pair, beyond_m + float(margin_m[pair])) for pair, beyond_m in _taken(self._near_results)]
-        self._place_alone(q)
+        self.place(q)
         return [(pair, self._of_triangles_m(pair, 0.0) if pair in self._triangles else bound) for pair, bound in found]
 
     def near_among(
         self, q: Vector, pairs: Iterable[int], margin_m: Sequence[float] | Vector
     ) -> list[tuple[int, float]]:
         """As :meth:`near`, of some pairs only, with a margin each: a tenth of the time for a few."""
-        self._place_alone(q)
+        self.place(q)
         clearances_m = [(pair, self._clearance_m(pair, each)) for pair, each in zip(pairs, margin_m, strict=True)]
         return [found for found, each in zip(clearances_m, margin_m, strict=True) if found[1] < each]
 
     def clearance_m(self, q: Vector, pair: int, margin_m: float) -> float:
         """Return the clearance of a pair, or the margin where it is wider; see :meth:`near` [m]."""
-        self._place_alone(q)
+        self.place(q)
         return self._clearance_m(pair, margin_m)
 
     def place(self, q: Vector) -> None:
         """Place the shapes at a configuration, to which the methods below refer."""
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._contact, self._joints.positions(q))
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, self._joints.positions(q))
 
     def touching(self, q: Vector) -> list[int]:
-        """Place the shapes as :meth:`place` does; return the indices of the pairs that touch."""
+        """Return the indices of the pairs that touch; place the shapes as :meth:`place` does."""
         if not self._collide(q, self._contact, self._contacts):
             return []
+        self.place(q)
         return [pair for pair, _ in _taken(self._contact_results)]
 
     def distance_m(self, pair: int) -> float:
@@ -185,9 +198,6 @@ class Broadphase:
     def placement(self, joint: int) -> pin.SE3:
         """Return the pose of a joint in the root link's frame."""
         return self._data.oMi[joint]
-
-    def _place_alone(self, q: Vector) -> None:
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._single, self._joints.positions(q))
 
     def _clearance_m(self, pair: int, margin_m: float) -> float:
         if pair in self._triangles:
@@ -221,8 +231,8 @@ class Broadphase:
         return 0.0 if self._touches_alone(pair, 0.0) else UNKNOWN_M
 
     def _distance(self, pair: int) -> coal.DistanceResult:
-        self._contact.distanceRequests[pair].gjk_tolerance = GJK_TOLERANCE
-        return pin.computeDistance(self._geometry, self._contact, pair)
+        self._single.distanceRequests[pair].gjk_tolerance = GJK_TOLERANCE
+        return pin.computeDistance(self._geometry, self._single, pair)
 
     def _detector(self, data: pin.GeometryData, *, stop_at_first: bool = False) -> Detector:
         for request in data.collisionRequests:

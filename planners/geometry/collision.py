@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from planners.geometry.broadphase import CONTACT_M, Broadphase, Nearest, NearPair
+from planners.geometry.broadphase import CONTACT_M, NO_PAIRS, Broadphase, Nearest, NearPair
 from planners.geometry.kinematics import JointMap, Reach, approach
 from planners.geometry.parts import PartPair, Parts, RobotParts, parts_of
 from planners.geometry.shapes import (
@@ -38,10 +38,6 @@ HULL_EXCESS_M = 0.02  # a hull reaches at most this far beyond its link
 COARSE_SHARE = 0.2
 
 NO_CONTACT: Mapping[frozenset[str], float] = {}
-
-# Pairs of names that are checked by their parts in place of their hulls.
-RefinedPairs = Collection[frozenset[str]]
-NONE_REFINED: RefinedPairs = frozenset()
 
 
 @dataclass(frozen=True)
@@ -205,16 +201,13 @@ class CollisionModel:
         self._unchanged = frozenset()
 
     def in_collision(
-        self, q: Vector, allowed: Mapping[frozenset[str], float] = NO_CONTACT, refined: RefinedPairs = NONE_REFINED
+        self, q: Vector, refined: frozenset[int] = NO_PAIRS, allowed: Mapping[frozenset[str], float] = NO_CONTACT
     ) -> bool:
-        """Return true if a checked pair touches."""
-        pair = self._broadphase.touches(q)
-        if pair is None:
-            return False
-        # A check of every pair takes as long again.
-        if not (self._names[pair] in refined or self._names[pair] in allowed or pair in self._unchanged):
+        """Return true if a checked pair touches; the allowed names' pairs are among the ``refined`` ones."""
+        if self._broadphase.touches(q, refined | self._unchanged if self._unchanged else refined):
             return True
-        return self._any_touches(self._touching(q), allowed, refined)
+        touching = self._broadphase.touching_among(q, refined - self._unchanged) if refined else ()
+        return any(not self._is_allowed(pair, allowed) for pair in touching)
 
     def near(
         self, q: Vector, margin_m: Sequence[float] | Vector, among: Sequence[int] | None = None
@@ -235,25 +228,22 @@ class CollisionModel:
         """Return how much nearer the hulls of a pair could come, 0 or less in contact, at most ``margin_m`` [m]."""
         return self._broadphase.clearance_m(q, pair, margin_m)
 
-    def excepted_clearance_m(
-        self, q: Vector, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float], refined: RefinedPairs
+    def refined_clearance_m(
+        self, q: Vector, pair: int, margin_m: float, allowed: Mapping[frozenset[str], float]
     ) -> float:
-        """As :meth:`clearance_m`, of a pair with an allowed overlap or to be refined."""
+        """As :meth:`clearance_m`, of a refined pair, which may have an allowed overlap."""
         clearance_m, names = self._broadphase.clearance_m(q, pair, margin_m), self._names[pair]
         if clearance_m == margin_m > 0.0:
             return margin_m
-        self._broadphase.place(q)
         if names in allowed:
             clearance_m = min(margin_m, allowed[names] + DEPTH_ACCURACY_M - self._overlap_m(pair))
-        if names not in refined or (clearance_m > 0.0 and clearance_m >= COARSE_SHARE * margin_m):
-            return clearance_m
-        if not self._has_parts(pair):
+        if (clearance_m > 0.0 and clearance_m >= COARSE_SHARE * margin_m) or not self._has_parts(pair):
             return clearance_m
         parts = self._parts_of_pair(pair)
         by_parts_m = parts.nearest().distance_m - float(self._apart_m[pair]) - CONTACT_M
         return by_parts_m if by_parts_m > 0.0 and not self._enclose(pair, parts) else clearance_m
 
-    def colliding_pairs(self, q: Vector, refined: RefinedPairs | None = None) -> list[CollidingPair]:
+    def colliding_pairs(self, q: Vector, refined: Collection[frozenset[str]] | None = None) -> list[CollidingPair]:
         """Return every pair that overlaps, deepest first; by parts for ``refined`` pairs, for all where it is None."""
         deepest: dict[frozenset[str], CollidingPair] = {}
         for index in self._touching(q):
@@ -284,8 +274,6 @@ class CollisionModel:
 
     def hull_only_pairs(self, q: Vector) -> set[frozenset[str]]:
         """Return the pairs of names that overlap in their hulls but not in their parts: to be checked ``refined``."""
-        if not self._parts.available:
-            return set()
         return {self._names[pair] for pair in self._touching(q) if self._apart(pair)}
 
     def near_pairs(self, q: Vector, within_m: float, moving: Collection[str] = ()) -> list[NearPair]:
@@ -345,17 +333,8 @@ class CollisionModel:
         """Return the pairs that touch and count, with the shapes placed at a configuration."""
         return [pair for pair in self._broadphase.touching(q) if pair not in self._unchanged]
 
-    def _any_touches(
-        self, pairs: Sequence[int], allowed: Mapping[frozenset[str], float], refined: RefinedPairs
-    ) -> bool:
-        """Return true if any of the pairs whose hulls touch may not."""
-        # A check of parts takes up to a hundred times as long as this.
-        if any(self._names[pair] not in refined and self._names[pair] not in allowed for pair in pairs):
-            return True
-        return not all(self._is_allowed(pair, allowed, refined) for pair in pairs)
-
-    def _is_allowed(self, pair: int, allowed: Mapping[frozenset[str], float], refined: RefinedPairs) -> bool:
-        """Return true if a pair is as far apart as it must be although its hulls are not."""
+    def _is_allowed(self, pair: int, allowed: Mapping[frozenset[str], float]) -> bool:
+        """Return true if a refined pair is as far apart as it must be although its hulls are not."""
         names = self._names[pair]
         if names in allowed:
             depth_m = allowed[names] + DEPTH_ACCURACY_M
@@ -364,7 +343,7 @@ class CollisionModel:
             by_parts = self._has_convex_parts(pair)
             if by_parts and not self._parts_of_pair(pair).deeper_than(depth_m - float(self._apart_m[pair])):
                 return True
-        return names in refined and self._apart(pair)
+        return self._apart(pair)
 
     def _overlap_m(self, pair: int) -> float:
         """Return an upper bound of a pair's overlap, negative for hulls beyond their required clearance [m]."""

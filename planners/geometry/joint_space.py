@@ -56,7 +56,7 @@ class JointSpace:
         self._refined = set(allowed)
         for q in (start_q, *also_free):
             self._refined |= collision.hull_only_pairs(q)
-        self._excepted = set(collision.pairs_of(self._refined))
+        self._refined_pairs = frozenset(collision.pairs_of(self._refined))
         self._holds = holds
         self._should_stop = should_stop
         self.checks = 0
@@ -84,7 +84,7 @@ class JointSpace:
         self.checks += 1
         self._q[self._columns] = point
         allowed = self._allowed and self._allowed_near(np.abs(point - self.start))
-        if self._collision.in_collision(self._q, allowed, self._refined):
+        if self._collision.in_collision(self._q, self._refined_pairs, allowed):
             return False
         return self._holds is None or self._holds(self._q)
 
@@ -99,8 +99,8 @@ class JointSpace:
             raise StoppedError
         self._q[self._columns] = point
         found = self._collision.near(self._q, margin_m[:-1])
-        for i, (pair, _) in enumerate(found) if self._excepted else ():
-            if pair in self._excepted:
+        for i, (pair, _) in enumerate(found) if self._refined_pairs else ():
+            if pair in self._refined_pairs:
                 found[i] = pair, self._by_parts_m(pair, point, float(margin_m[pair]))
         if self._holds is not None:
             found.append((CONDITION, self._clearance_of_condition()))
@@ -112,7 +112,7 @@ class JointSpace:
         self._q[self._columns] = point
         if pair == CONDITION:
             return self._clearance_of_condition()
-        if pair in self._excepted:
+        if pair in self._refined_pairs:
             return self._by_parts_m(pair, point, margin_m)
         return self._collision.clearance_m(self._q, pair, margin_m)
 
@@ -121,7 +121,7 @@ class JointSpace:
         if self._should_stop():
             raise StoppedError
         allowed = self._allowed_near(np.abs(point - self.start))
-        return self._collision.excepted_clearance_m(self._q, pair, margin_m, allowed, self._refined)
+        return self._collision.refined_clearance_m(self._q, pair, margin_m, allowed)
 
     def _clearance_of_condition(self) -> float:
         return CONDITION_STEP_M if self._holds is None or self._holds(self._q) else 0.0
@@ -131,7 +131,7 @@ class JointSpace:
         self._q[self._columns] = point
         new = self._collision.hull_only_pairs(self._q) - self._refined
         self._refined |= new
-        self._excepted.update(self._collision.pairs_of(new))
+        self._refined_pairs = frozenset(self._collision.pairs_of(self._refined))
         return bool(new)
 
     def free_by_parts(self, point: Vector) -> bool:

@@ -7,9 +7,10 @@ of boxes is x, y, z. A body that touches no part may still be inside the link; t
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import product
 
 import coal
 import numpy as np
@@ -27,6 +28,8 @@ from robot.trajectory import Vector
 _ACROSS = np.zeros((3, 3, 3))
 for _x, _y, _z in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
     _ACROSS[_x, _y, _z], _ACROSS[_x, _z, _y] = -1.0, 1.0
+
+FEW_PAIRS = 4  # pairs of parts that are all checked
 
 
 @dataclass(frozen=True)
@@ -134,13 +137,13 @@ class Parts:
 
     @cached_property
     def points_m(self) -> Vector:
-        """One point of each connected body, shape (n, 3) [m], in the joint's frame."""
+        """Six points of each connected body, shape (n, 6, 3) [m], in the joint's frame."""
         # The convex parts of a link cover its few bodies: a point of each of the parts would be checked in vain.
         if self.enclosed_by is not None:
             return self.enclosed_by.points_m
         solid = (pair for pair in self._placed() if not isinstance(pair[0], coal.BVHModelBase))
-        middles_m = [place.act(corners(shape).mean(axis=0)) for shape, place in solid]
-        return np.vstack([*middles_m, *([] if self._mesh_surface is None else [self._mesh_surface.points_m])])
+        middles_m = [np.tile(place.act(corners(shape).mean(axis=0)), (1, 6, 1)) for shape, place in solid]
+        return np.concatenate([*middles_m, *([] if self._mesh_surface is None else [self._mesh_surface.points_m])])
 
     @cached_property
     def _mesh_surface(self) -> TriangleSurface | None:
@@ -263,8 +266,12 @@ class PartPair:
             by_second and self._second.encloses(self._first, self._between.inverse())
         )
 
-    def _near_pairs(self, margin_m: float) -> list[list[int]]:
-        pairs: list[list[int]] = near_pairs(self._first.boxes, self._second.boxes, self._between, margin_m).tolist()
+    def _near_pairs(self, margin_m: float) -> Iterable[Sequence[int]]:
+        first, second = self._first, self._second
+        # Comparing boxes takes as long as ten checks.
+        if len(first.shapes) * len(second.shapes) <= FEW_PAIRS:
+            return product(range(len(first.shapes)), range(len(second.shapes)))
+        pairs: list[list[int]] = near_pairs(first.boxes, second.boxes, self._between, margin_m).tolist()
         return pairs
 
     def _placed(

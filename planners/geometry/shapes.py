@@ -160,7 +160,11 @@ def urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]
         # coal's text names its own file and line first.
         reason = " ".join(str(error).rpartition("message: ")[2].split())
         raise ShapeError(robot.name, f"cannot be loaded: {reason}") from error
-    return list(geometry.geometryObjects)
+    shapes = list(geometry.geometryObjects)
+    for shape in shapes:
+        if isinstance(shape.geometry, coal.BVHModelBase) and not np.isfinite(shape.geometry.vertices()).all():
+            raise ShapeError(robot.name, f"cannot be loaded: a vertex of {shape.meshPath} is no finite number")
+    return shapes
 
 
 def frame_of_link(model: pin.Model, link: str) -> int:

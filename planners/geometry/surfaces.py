@@ -52,14 +52,15 @@ class TriangleSurface:
 
     @cached_property
     def points_m(self) -> Vector:
-        """One vertex of each connected body, shape (bodies, 3) [m]."""
+        """Outermost vertices of each connected body, shape (bodies, 6, 3) [m]."""
         body = np.arange(len(self._vertices_m))
         while True:
             joined = body.copy()
             np.minimum.at(joined, self._triangles.ravel(), np.repeat(body[self._triangles].min(axis=1), 3))
             joined = joined[joined]
             if np.array_equal(joined, body):
-                return self._vertices_m[np.unique(body[self._triangles])]
+                bodies = (self._vertices_m[body == each] for each in np.unique(body[self._triangles]))
+                return np.array([each[np.concatenate((each.argmin(axis=0), each.argmax(axis=0)))] for each in bodies])
             body = joined
 
     @cached_property
@@ -68,10 +69,13 @@ class TriangleSurface:
         return self._lower_m.min(axis=0), self._upper_m.max(axis=0)
 
     def encloses(self, points_m: Vector) -> bool:
-        """Return true if any of some points, shape (n, 3) [m], is inside; a mirrored mesh counts as any other."""
+        """Return true if any of some bodies is inside, by points of each, shape (bodies, k, 3) [m].
+
+        Bodies do not touch the surface: one with any point outside is outside. A mirrored mesh counts as any other.
+        """
         lower_m, upper_m = self.box_m
-        near_m = points_m[((points_m > lower_m) & (points_m < upper_m)).all(axis=1)]
-        return any(abs(self.winding_number(point_m)) > INSIDE for point_m in near_m)
+        within = ((points_m > lower_m) & (points_m < upper_m)).reshape(len(points_m), -1).all(axis=1)
+        return any(abs(self.winding_number(each[0])) > INSIDE for each in points_m[within])
 
     def winding_number(self, point_m: Vector) -> float:
         """Return how often the surface winds around a point, shape (3,) [m]."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import count
+from itertools import count, pairwise
 
 import numpy as np
 
@@ -52,9 +52,7 @@ from robot.trajectory import Trajectory, Vector
 # Parts drawn at once: one numpy call gives the time that each would save, and the best is tried first.
 PARTS_A_ROUND = 32
 
-# Parts of these that are tried before others are drawn: drawing takes as long as the checks of one.
-TRIES_A_ROUND = 4
-
+TRIES_A_ROUND = 4  # parts of these that are tried before others are drawn: drawing takes as long as the checks of one
 SHRINK = 0.7  # parts become shorter by this factor after a round without a gain, and longer again after one with a gain
 LEAST_GAIN_TICKS = 40  # a part that saves less does not pay for its checks [ticks]
 FRUITLESS_ROUNDS = 5  # rounds without a gain after which the curve is about as short as it gets
@@ -64,7 +62,7 @@ STRAIGHT_LINE = "straight line"
 SPARSE_STEP_M = 0.2  # sparse check of a straight line before it is timed: most blocked ones are found here [m]
 
 # Coarse checks of edges [m] and curves [share of the reach] let trees grow and motions shorten soonest; all are finer
-# after a contact in the certificate. Steps of 0.04 m suit Panda and Fetch; motions of the SO-101 get longer by them.
+# after a contact half-way (SO-101: 0.85 of p95) or in the certificate. Steps of 0.04 m make SO-101's motions longer.
 SEARCH_STEPS_M = (0.08, 0.03, 0.01, 0.005)
 CURVE_STEPS = (0.04, 0.02, 0.01, 0.002)
 
@@ -225,25 +223,33 @@ class _Searching:
         while searches > 0 and not self._budget.used_up() and not (best and self._space.checks >= self._last_check):
             found = self._found(searches, has_motion=best is not None)
             searches -= len(found)
-            longest_s = np.inf if best is None else best.trajectory.duration_s
-            shorter = [(how, each) for how, stages in found for each in stages if TICK_S * each.ticks[-1] < longest_s]
-            motion = self._shortest(shorter)
-            best = min(filter(None, (best, motion)), key=lambda each: each.trajectory.duration_s, default=None)
-            if shorter and motion is None:
+            known, any_shorter = best, False
+            for method, stages in sorted(found, key=lambda each: each[1][-1].duration_ticks):
+                longest_s = np.inf if best is None else best.trajectory.duration_s
+                shorter = [each for each in stages if TICK_S * each.ticks[-1] < longest_s]
+                any_shorter = any_shorter or bool(shorter)
+                best = self._shortest(method, shorter) or best
+            if any_shorter and best is known:
                 self._finer = min(self._finer + 1, len(SEARCH_STEPS_M) - 1)
             if best is None and found:
                 searches = self._task.attempts
         return best
 
-    def _shortest(self, found: Sequence[tuple[str, Curve]]) -> Motion | None:
-        """Return the motion along the shortest of some curves that can be certified."""
-        for method, curve in sorted(found, key=lambda each: each[1].duration_ticks):
+    def _shortest(self, method: str, stages: Sequence[Curve]) -> Motion | None:
+        """Return the motion along the last of ever shorter curves that can be certified."""
+        # Where the first touches something, so does all that became of it, as a rule.
+        free, touching, tried, motion = -1, len(stages), len(stages) - 1, None
+        while touching - free > 1:
             # The best motion is still of use after the deadline, but not once the request is cancelled.
-            trajectory = None if self._budget.should_stop() else _certified(self._task, curve)
-            if trajectory is not None:
-                reached = (i for i, q in enumerate(self._task.goals) if np.array_equal(q, curve.positions_rad[-1]))
-                return Motion(trajectory, method, next(reached))
-        return None
+            trajectory = None if self._budget.should_stop() else _certified(self._task, stages[tried])
+            if trajectory is None:
+                touching = tried
+            else:
+                free, end = tried, stages[tried].positions_rad[-1]
+                reached = next(i for i, q in enumerate(self._task.goals) if np.array_equal(q, end))
+                motion = Motion(trajectory, method, reached)
+            tried = 0 if free < 0 else (free + touching) // 2
+        return motion
 
     def _found(self, searches: float, *, has_motion: bool) -> list[tuple[str, list[Curve]]]:
         """Return the curves found in a round, by which search, each with its shorter and shorter stages."""
@@ -252,14 +258,14 @@ class _Searching:
         self._last_check = self._last_check if has_motion else np.inf
         while len(found) < searches and not self._enough():
             method, path = self._path(next(self._number))
-            if path is None:
+            step_m = CURVE_STEPS[self._finer] * float(self._space.travel_m_per_rad.max())
+            if path is None or not self._holds(path, step_m):
                 continue
             curve = polyline(path, self._task.limits, self._task.window)
             curve = curve if self._lead is None else self._lead.then(curve)
             if np.isinf(self._round_end):
                 self._last_check = self._space.checks + NOMINAL_CHECKS_PER_S * self._task.optimization_time_s
                 self._round_end = self._space.checks + CHECKS_A_ROUND
-            step_m = CURVE_STEPS[self._finer] * float(self._space.travel_m_per_rad.max())
             along = partial(curve_free, self._space, step_m=step_m, should_stop=self._budget.used_up)
             stages = smooth(curve, self._task.limits, self._space.free, along, self._rng, self._enough)
             found.append((method, stages))
@@ -281,6 +287,13 @@ class _Searching:
         if path is not None:
             path = without_detours(self._space, path, query.step_m, self._budget.used_up)
         return self._name, path
+
+    def _holds(self, path: Vector, step_m: float) -> bool:
+        """Return true if a path is free at half the search's steps, where curves have shorter ones; else refine."""
+        half_m = 0.5 * SEARCH_STEPS_M[self._finer]
+        free = half_m <= step_m or all(line_free_sparsely(self._space, *ends, half_m) for ends in pairwise(path))
+        self._finer = min(self._finer + (not free), len(SEARCH_STEPS_M) - 1)
+        return free
 
     def _searched(self, query: Query, number: int) -> Vector | None:
         """Let the search go on, or another once it has found a path, or nothing for long."""

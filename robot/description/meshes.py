@@ -15,6 +15,9 @@ from robot.errors import DescriptionError
 
 log = logging.getLogger("armbridge.description")
 
+# A million triangles of binary STL, which take 0.7 GB and 6 s to load.
+MAX_MESH_BYTES = 50_000_000
+
 _PACKAGE = "package://"
 _FILE = "file://"
 
@@ -33,6 +36,9 @@ def find_mesh(name: str, directory: Path | None, packages: Sequence[Path]) -> Pa
     """Find the file of a mesh, a URL or a path beside the URDF; the error names the paths that were tried."""
     tried = list(dict.fromkeys(_candidates(name, directory, packages)))
     found = next((path for path in tried if path.is_file()), None)
+    if found is not None and (size_bytes := found.stat().st_size) > MAX_MESH_BYTES:
+        text = f"has {size_bytes} bytes, {MAX_MESH_BYTES} are allowed: simplify it, in Blender by the modifier Decimate"
+        raise DescriptionError(f"mesh {found}", text)
     if found is not None:
         return found.resolve()
     places = ", ".join(map(str, tried)) or "nothing, for the URDF has no folder"

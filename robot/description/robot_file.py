@@ -24,7 +24,8 @@ MAX_BYTES = 1_000_000
 LIKENESS = 0.6  # below this share of equal letters a proposal misleads
 
 Position: TypeAlias = Annotated[float, Field(ge=-1000.0, le=1000.0)]
-Rate: TypeAlias = Annotated[float, Field(gt=0.0, le=1e6)]
+MAX_RATE = 1e6
+Rate: TypeAlias = Annotated[float, Field(gt=0.0, le=MAX_RATE)]
 Name: TypeAlias = Annotated[str, Field(min_length=1, max_length=200)]
 CameraName: TypeAlias = Annotated[str, Field(pattern=CAMERA_NAME)]  # first part of names of topics
 
@@ -152,7 +153,7 @@ def read(path: Path) -> RobotFile:
         values = tomllib.loads(text.decode())
     except (OSError, UnicodeDecodeError) as error:
         raise RobotFileError(path, [f"cannot be read: {error}"]) from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RobotFileError(path, [f"is no TOML: {error}"]) from error
     try:
         return RobotFile.model_validate(values)

@@ -4,6 +4,7 @@ The package example-robot-data brings the descriptions of some fifty published r
 """
 
 import json
+import reprlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -84,6 +85,7 @@ MOVEIT_LIMITS = (
 MOVEIT_POSITION_LIMITS = (("min_position", "lower"), ("max_position", "upper"))
 
 MAX_YAML_BYTES = 1_000_000
+MAX_SHAPES_BYTES = 20_000_000  # of all links; 600,000 vertices, which take 150 MB when they are read
 
 
 @dataclass(frozen=True)
@@ -248,7 +250,7 @@ def moveit_limits(path: Path) -> dict[str, JointLimits]:
     try:
         with path.open("rb") as stream:
             values = yaml.safe_load(stream.read(MAX_YAML_BYTES))
-    except (OSError, yaml.YAMLError) as error:
+    except (OSError, ValueError, yaml.YAMLError, RecursionError) as error:
         raise DescriptionError(str(path), f"cannot be read: {' '.join(str(error).split())}") from error
     joints = values.get("joint_limits") if isinstance(values, dict) else None
     if not isinstance(joints, dict):
@@ -256,7 +258,7 @@ def moveit_limits(path: Path) -> dict[str, JointLimits]:
     limits = {}
     for name, entry in joints.items():
         if not isinstance(entry, dict):
-            raise DescriptionError(str(path), f"joint_limits.{name} must be a mapping, not {entry!r}")
+            raise DescriptionError(str(path), f"joint_limits.{name} must be a mapping, not {reprlib.repr(entry)[:80]}")
         own = {key: _yaml_number(path, name, entry, key) for switch, key in MOVEIT_LIMITS if entry.get(switch)}
         for key, value in own.items():
             if value <= 0.0:
@@ -269,16 +271,20 @@ def moveit_limits(path: Path) -> dict[str, JointLimits]:
 
 def _yaml_number(path: Path, name: str, entry: Mapping[str, Any], key: str) -> float:
     value = entry.get(key)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise DescriptionError(str(path), f"joint_limits.{name}.{key} must be a number, not {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= robot_file.MAX_RATE:
+        raise DescriptionError(str(path), f"joint_limits.{name}.{key} must be a number, not {reprlib.repr(value)[:80]}")
     return float(value)
 
 
 def _read_shapes(path: Path) -> Mapping[str, Any]:
     try:
-        links = json.loads(path.read_text())["links"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        with path.open("rb") as stream:
+            text = stream.read(MAX_SHAPES_BYTES + 1)
+        links = json.loads(text)["links"] if len(text) <= MAX_SHAPES_BYTES else None
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise DescriptionError(str(path), f"cannot be read: {error}") from error
+    if len(text) > MAX_SHAPES_BYTES:
+        raise DescriptionError(str(path), f"has more than {MAX_SHAPES_BYTES} bytes")
     if not isinstance(links, dict):
         raise DescriptionError(str(path), "must have an object links")
     return links
@@ -311,7 +317,10 @@ def _surfaces(path: Path) -> dict[str, LinkSurface]:
 
 
 def _points(vertices: object) -> NDArray[np.float64]:
-    return np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+    points = np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+    if not np.isfinite(points).all():
+        raise ValueError("a vertex has a coordinate that is no finite number")
+    return points
 
 
 def _unknown_names(file: RobotFile, arm: RobotModel) -> Iterable[str]:

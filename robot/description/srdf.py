@@ -12,6 +12,9 @@ from robot.errors import DescriptionError
 log = logging.getLogger("armbridge.description")
 
 
+MAX_NESTED_GROUPS = 20
+
+
 @dataclass(frozen=True)
 class Group:
     """Planning group of the SRDF: joints that move together."""
@@ -73,6 +76,7 @@ class _Reader:
         self._virtual = {attribute(one, "name", source): one for one in root.iterfind("virtual_joint")}
         self._passive = frozenset(self._passive_joints())
         self._elements = {attribute(group, "name", source): group for group in root.iterfind("group")}
+        self._found: dict[str, set[str]] = {}  # members of the groups that were read
 
     def read(self) -> Semantics:
         found = (self._group(name) for name in self._elements)
@@ -110,6 +114,10 @@ class _Reader:
         where = f"{self._source} group {name!r}"
         if name in within:
             raise DescriptionError(where, f"contains itself: {' -> '.join((*within, name))}")
+        if len(within) > MAX_NESTED_GROUPS:
+            raise DescriptionError(where, f"is nested in more than {MAX_NESTED_GROUPS} groups")
+        if name in self._found:
+            return self._found[name]
         members: set[str] = set()
         for element in self._elements[name]:
             match element.tag:
@@ -132,6 +140,7 @@ class _Reader:
                             where, f"contains the group {inner!r}, which does not exist ({known} do)"
                         )
                     members |= self._members(inner, (*within, name))
+        self._found[name] = members
         return members
 
     def _chain(self, element: ET.Element, group: str) -> list[Joint]:

@@ -1,5 +1,6 @@
 """URDF: elements, links and joints with their limits, and frames; held joints are fixed where they stay."""
 
+import itertools
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Mapping
@@ -12,6 +13,23 @@ from robot.trajectory import Vector
 
 # Of elements that xacro replaces; descriptions in circulation use all three.
 XACRO_NAMESPACES = ("http://www.ros.org/wiki/xacro", "http://wiki.ros.org/xacro", "http://ros.org/wiki/xacro")
+
+# Attributes that are numbers, and how many, of the elements in links and joints that the planning libraries read.
+NUMBERS: Mapping[str, Mapping[str, int]] = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "box": {"size": 3},
+    "mesh": {"scale": 3},
+    "sphere": {"radius": 1},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
+}
+
+MAX_LINKS = 500  # more than any arm has; bounds the work that a file can cause
+MAX_NUMBER = 1e100  # beyond, results overflow
+MAX_SHOWN = 80  # characters of a wrong value in an error
 
 
 def root_of(text: str, source: str) -> ET.Element:
@@ -46,16 +64,22 @@ def attribute(element: ET.Element, name: str, source: str) -> str:
 
 def number(element: ET.Element, name: str, where: str) -> float:
     """Return an attribute that must be a finite number; ``where`` names file and element in errors."""
-    text = element.get(name)
-    if text is None:
+    if element.get(name) is None:
         raise DescriptionError(where, f"has no attribute {name!r}")
+    return _numbers(element, name, 1, where)[0]
+
+
+def _numbers(element: ET.Element, name: str, count: int, where: str) -> list[float]:
+    text = element.get(name, "")
     try:
-        value = float(text)
+        # Python's digits may have underscores between them, a URDF's may not.
+        values = [math.nan if "_" in word else float(word) for word in text.split()]
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise DescriptionError(where, f"{name} must be a finite number, not {text!r}")
-    return value
+        values = []
+    if len(values) != count or not all(abs(value) <= MAX_NUMBER for value in values):
+        wanted = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise DescriptionError(where, f"{name} must be {wanted}, not {text[:MAX_SHOWN]!r}")
+    return values
 
 
 def _macros(root: ET.Element) -> Iterator[str]:
@@ -144,6 +168,9 @@ class Tree:
 def read_urdf(text: str, source: str, limits: Mapping[str, JointLimits]) -> Tree:
     """Read a URDF; some joints have limits that replace its own."""
     robot = root_of(text, source)
+    if (count := len(robot.findall("link"))) > MAX_LINKS:
+        raise DescriptionError(source, f"has {count} links, {MAX_LINKS} are allowed")
+    _check_numbers(robot, source)
     joints: dict[str, Joint] = {}
     for element in robot.iterfind("joint"):
         joint = _joint(element, source, limits)
@@ -155,6 +182,16 @@ def read_urdf(text: str, source: str, limits: Mapping[str, JointLimits]) -> Tree
         raise DescriptionError(source, f"has no movable joint: no <joint> has the type {', '.join(others)} or {last}")
     joints = {name: _with_leader(joint, joints, source) for name, joint in joints.items()}
     return Tree(robot.get("name", "robot"), _links_from_root(robot, joints, source), joints)
+
+
+def _check_numbers(robot: ET.Element, source: str) -> None:
+    for part in robot:
+        # The planning libraries read no <visual>.
+        read = (each for each in part if part.tag in ("link", "joint") and each.tag != "visual")
+        for element in itertools.chain.from_iterable(each.iter() for each in read):
+            for name, count in NUMBERS.get(element.tag, {}).items():
+                if element.get(name) is not None:
+                    _numbers(element, name, count, f"{source} {part.tag} {part.get('name')!r} <{element.tag}>")
 
 
 def _joint(element: ET.Element, source: str, limits: Mapping[str, JointLimits]) -> Joint:

@@ -222,9 +222,8 @@ class Authorizer:
                 f"{name}: this client sends more than {self._goals.burst} goals at once (access.goal_burst) and "
                 f"{self._goals.per_s:g} a second (access.goals_per_s)"
             )
-        # Of a goal that is proposed, the client that approves it is the driver.
-        proposes = self._node.is_viewer and rule.role is Role.PROPOSE
-        if not rule.drives or proposes or plans_only(rule, goal):
+        # Of a goal that a client without the role OPERATE proposes, the client that approves it is the driver.
+        if not rule.drives or self._node.is_viewer or plans_only(rule, goal):
             return None
         refusal = self._access.leases_of_arms.get(rule.arm, self._access.lease).drive(self._node, self._access.clock())
         return None if refusal is None else f"{name}: {refusal}"

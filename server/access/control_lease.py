@@ -119,7 +119,7 @@ class ControlLease:
 
     def idle_s(self, now_s: float) -> float:
         """Return the time since the holder's last request [s], at a monotonic time [s]."""
-        return 0.0 if self.holder is None else max(0.0, now_s - self._heard_s)
+        return 0.0 if self.holder is None else now_s - self._heard_s
 
     def free_in_s(self, now_s: float) -> float:
         """Return the time until the arm is free if its holder requests nothing more and no goal waits [s]."""

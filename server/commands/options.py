@@ -313,5 +313,5 @@ def _value(key: str, value: str) -> Any:
         return value
     try:
         return tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise ConfigurationError(f"--set {key}: the value is not TOML: {error}") from error

@@ -46,7 +46,6 @@ class Terminal:
         print(text, flush=True)  # noqa: T201 - the command's own output
 
     def say(self, text: str) -> None:
-        """Print progress, an explanation or a complaint."""
         self._live_lines = 0
         print(text, file=sys.stderr, flush=True)  # noqa: T201 - the command's own output
 
@@ -71,7 +70,6 @@ class Terminal:
         return self._line().strip().lower() in YES
 
     def await_enter(self, request: str) -> None:
-        """Ask for something to be done, and wait for Enter."""
         self.ask(f"{request}, then press Enter.")
         self._line()
 

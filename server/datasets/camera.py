@@ -156,7 +156,6 @@ class NewestImage:
 
     @property
     def ended(self) -> bool:
-        """True once there are no more images."""
         return self._ended.is_set()
 
     def start(self) -> None:
@@ -222,7 +221,6 @@ class CameraClient(PublishingClient):
 
     @property
     def ended(self) -> bool:
-        """True once the camera has no more images."""
         return self.images.ended
 
     async def run(self) -> None:
@@ -235,7 +233,6 @@ class CameraClient(PublishingClient):
             await asyncio.to_thread(self.images.close)
 
     async def publish(self, connection: ClientConnection) -> None:
-        """Publish images, one after the other."""
         options, loop = self._options, asyncio.get_running_loop()
         due_s = loop.time()
         while True:

@@ -331,7 +331,6 @@ def _write_data(root: Path, dataset: Dataset, columns: Sequence[Mapping[str, NDA
 
 
 def _write_episodes(root: Path, dataset: Dataset, statistics: Sequence[Mapping[str, Statistics]]) -> None:
-    """Write the metadata of episodes and tasks."""
     # Imported when it is needed: an extra of those who export datasets.
     import pyarrow as pa
     from pyarrow import parquet

@@ -115,7 +115,6 @@ class EpisodeServices:
         self._show()
 
     async def run(self) -> None:
-        """Look at the episode in progress, period by period."""
         while True:
             await asyncio.sleep(LOOK_PERIOD_S)
             if self._marks.open is not None:

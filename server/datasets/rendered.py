@@ -40,13 +40,7 @@ class PublishedCamera:
         return self.topic.removesuffix("/compressed").rpartition("/")[0]
 
     @property
-    def image_topics(self) -> list[str]:
-        """Names of its topics with images, in colour and in depth."""
-        return [name for name, type_name in self.topics.items() if type_name != INFO_TYPE]
-
-    @property
     def info_topic(self) -> str:
-        """Name of the topic of its sensor_msgs/CameraInfo."""
         return f"{self.namespace}/camera_info"
 
     @property

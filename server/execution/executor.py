@@ -531,7 +531,6 @@ class GoalExecutor:
         return replace(played.end, message=f"{played.end.message}; {end.message}")
 
     async def _stop_outgoing(self) -> None:
-        """Brake the outgoing motion, and wait for its end."""
         outgoing, self._outgoing = self._outgoing, None
         if outgoing is not None and not outgoing.ended.done():
             self._arm.stop(outgoing.ended)

@@ -326,7 +326,6 @@ class Goal(CancelScope):
         self.epoch = self.request.epoch
 
     def report(self, progress: Progress) -> None:
-        """Take the latest progress, and tell the listener."""
         self.progress = progress
         self.listener(self, progress)
 

@@ -191,7 +191,6 @@ class GoalQueue:
         self._begin()
 
     def _begin(self) -> None:
-        """Begin the goals whose turn has come."""
         if not self._started:
             return
         taken: Joints = frozenset().union(*(active.request.joints for active in self._active))

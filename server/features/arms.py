@@ -220,5 +220,4 @@ class SimulatedTime(Feature):
         return bool(self._node.subscribers(TOPIC))
 
     def on_state(self, _arm: str, state: ArmState) -> None:
-        """Publish the time of the only arm."""
         self._node.publish(TOPIC, {"clock": Stamp.from_seconds(state.stamp_s).as_message()})

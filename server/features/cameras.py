@@ -14,6 +14,7 @@ from robot.physics.bodies import Body
 from robot.processes import Child, RestartDelay, StartedChild
 from server.datasets.camera import CameraError
 from server.datasets.rendered import (
+    INFO_TYPE,
     NS_PER_S,
     CannotRender,
     LoadCameras,
@@ -127,7 +128,7 @@ class Cameras(Feature):
             self._send(Render(ordered, self._seen(state, state.position_rad.tolist())))
 
     def _watched_images(self, camera: PublishedCamera) -> list[str]:
-        return [topic for topic in camera.image_topics if self._graph.subscribers(topic)]
+        return [name for name, kind in camera.topics.items() if kind != INFO_TYPE and self._graph.subscribers(name)]
 
     def _keep_process(self, *, watched: bool) -> None:
         """Start the process for the first subscriber, load its cameras, and end it when it is silent or idle."""

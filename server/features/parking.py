@@ -312,7 +312,6 @@ class LastClient:
         self._left_epoch = 0  # stop epoch in which a driver was there last
 
     async def run(self) -> None:
-        """Watch until cancelled."""
         while True:
             await asyncio.sleep(CHECK_S)
             if self.due():

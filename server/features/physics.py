@@ -136,7 +136,7 @@ class Physics(Feature):
         self._movable: dict[str, _Movable] = {}  # by object of the scene
         # Bodies at the poses where a client put them, and the objects that have moved since at their latest ones.
         self._bodies: dict[str, Body] = {}
-        self._states: dict[str, BodyState] = {}
+        self.body_states: dict[str, BodyState] = {}  # the latest of the movable bodies, by object
         # Objects of the scene at the poses of their bodies, which need not be moved there.
         self._known: dict[str, CollisionObject] = {}
         # Of each body: time by the arm's clock at which it was held last [s], and the gripper's goals then.
@@ -166,11 +166,6 @@ class Physics(Feature):
                 each.graph.node("simulation").offer("/simulation/set_body", SET_BODY_TYPE, set_body, rule=WORKING)
         self._scene.on_change(self._follow_scene)
 
-    @property
-    def body_states(self) -> Mapping[str, BodyState]:
-        """Latest states of the movable bodies, by object."""
-        return self._states
-
     async def start(self) -> None:
         """Send the objects of the run before."""
         self._follow_scene()
@@ -186,9 +181,9 @@ class Physics(Feature):
         if self._paused and not self._stepping and world.ticks < 0 and state.mode is not Mode.DISCONNECTED:
             world.arm.simulate(PauseSimulation(paused=True))
         own = {each.name: each for each in world.reported() if self._mover(each.name) == arm}
-        self._states.update(own)
+        self.body_states.update(own)
         attached, goal_rad = self._scene.contents.attached, world.gripper_goal_rad
-        for name, body in self._states.items():
+        for name, body in self.body_states.items():
             if self._mover(name) == arm and (body.held or name not in attached or name not in self._held_at_s):
                 self._held_at_s[name] = state.clock_s, goal_rad
         if world.ticks >= 0 or not 0.0 <= state.clock_s - self._updated_at_s.get(arm, -math.inf) < self._update_s:
@@ -201,7 +196,7 @@ class Physics(Feature):
     def _update(self, world: ArmWorld, clock_s: float) -> None:
         contents, goal_rad = self._scene.contents, world.gripper_goal_rad
         moved, dropped = {}, {}
-        for name, state in self._states.items():
+        for name, state in self.body_states.items():
             if self._mover(name) != world.name:
                 continue
             pose = _pose(state)
@@ -248,7 +243,7 @@ class Physics(Feature):
             same = before is each or (before is not None and before.frame != each.frame)
             bodies[name] = self._bodies[name] if same else self._body_of(each)
             # Its body may have moved since, also if the object is put where it was put before.
-            if not same and name in self._states:
+            if not same and name in self.body_states:
                 put[name] = each.pose
             known[name] = each
         self._known = known
@@ -265,14 +260,14 @@ class Physics(Feature):
     def _move_by(self, name: str, mover: str) -> None:
         """Let a movable object move in the world of an arm, from where it is."""
         if self._movable[name].mover != mover:
-            state, self._movable[name] = self._states.get(name), replace(self._movable[name], mover=mover)
+            state, self._movable[name] = self.body_states.get(name), replace(self._movable[name], mover=mover)
             self._held_at_s.pop(name, None)
             for world in self._worlds.values():
                 self._send_to(world, {} if state is None else {name: _pose(state)})
 
     def _send(self, bodies: dict[str, Body], placed: Mapping[str, Pose]) -> None:
-        changed = {name for name in self._states if bodies.get(name) != self._bodies.get(name)} | placed.keys()
-        self._states = {name: state for name, state in self._states.items() if name not in changed}
+        changed = {name for name in self.body_states if bodies.get(name) != self._bodies.get(name)} | placed.keys()
+        self.body_states = {name: state for name, state in self.body_states.items() if name not in changed}
         self._bodies = bodies
         for world in self._worlds.values():
             self._send_to(world, placed)
@@ -280,7 +275,7 @@ class Physics(Feature):
     def _send_to(self, world: ArmWorld, placed: Mapping[str, Pose]) -> None:
         """Send a world its movable bodies, and the others' as they are by now."""
         own = {name for name in self._bodies if self._mover(name) == world.name}
-        present = {name: _pose(state) for name, state in self._states.items()} | dict(placed)
+        present = {name: _pose(state) for name, state in self.body_states.items()} | dict(placed)
         world.send(
             (
                 body if name in own else replace(_at(body, present.get(name, _pose(body))), movable=False)

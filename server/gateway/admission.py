@@ -263,31 +263,26 @@ def own_names(hostname: str | None = None) -> Sequence[str]:
     return (name, short, f"{short}.local") if short else ()
 
 
-class AllowedOrigins:
-    """Origins whose pages may connect: this machine's, the server's own, and ``allowed`` patterns.
+def may_connect(
+    origin: str, host: Authority, allowed: Iterable[str] = (), classroom_ports: Collection[int] = (), *, encrypted: bool
+) -> bool:
+    """Return True for an origin whose pages may connect: this machine's, the server's own, and ``allowed`` patterns.
 
     The pages of other servers of a classroom have its host and one of the classroom's ports.
     """
-
-    def __init__(self, allowed: Iterable[str] = (), classroom_ports: Collection[int] = ()) -> None:
-        # As people copy it out of a browser, an origin ends in a slash.
-        self._allowed = tuple(text for each in allowed for text in (each.lower(), each.lower().removesuffix("/")))
-        self._classroom_ports = classroom_ports
-
-    def has(self, origin: str, host: Authority, *, encrypted: bool) -> bool:
-        """Return True for an origin whose pages may connect."""
-        origin = origin.lower()
-        if any(matches(origin, pattern) for pattern in self._allowed):
-            return True
-        scheme, separator, rest = origin.partition("://")
-        theirs = read_authority(rest) if separator and scheme in _PORTS else None
-        if theirs is None:
-            return False
-        own_scheme = "https" if encrypted else "http"
-        usual_port = _PORTS[own_scheme]
-        port = theirs.port or usual_port
-        own_port = port == (host.port or usual_port) or port in self._classroom_ports
-        return theirs.is_loopback or (scheme == own_scheme and theirs.host == host.host and own_port)
+    origin = origin.lower()
+    # As people copy it out of a browser, an origin ends in a slash.
+    if any(matches(origin, text) for each in allowed for text in (each.lower(), each.lower().removesuffix("/"))):
+        return True
+    scheme, separator, rest = origin.partition("://")
+    theirs = read_authority(rest) if separator and scheme in _PORTS else None
+    if theirs is None:
+        return False
+    own_scheme = "https" if encrypted else "http"
+    usual_port = _PORTS[own_scheme]
+    port = theirs.port or usual_port
+    own_port = port == (host.port or usual_port) or port in classroom_ports
+    return theirs.is_loopback or (scheme == own_scheme and theirs.host == host.host and own_port)
 
 
 class HandshakeRequest(NamedTuple):
@@ -317,7 +312,7 @@ class AdmissionPolicy:
         self._tokens = tokens or Tokens({}, ANYONE)
         self._own_names = own_names()
         self._allowed_hosts = settings.allowed_hosts
-        self._origins = AllowedOrigins(settings.allowed_origins, classroom_ports)
+        self._origins = settings.allowed_origins, classroom_ports
         # Numbers of refused requests, by reason: host, origin, token, tokens (too many wrong ones).
         self.refusals: Counter[str] = Counter()
         self._log = LogLimiter()
@@ -356,7 +351,7 @@ class AdmissionPolicy:
 
     def _foreign(self, request: HandshakeRequest, host: Authority) -> HttpResponse | None:
         for origin in request.headers.get_all("Origin"):
-            if not self._origins.has(origin, host, encrypted=request.encrypted):
+            if not may_connect(origin, host, *self._origins, encrypted=request.encrypted):
                 shown = one_line(shorten(origin))
                 sentence = (
                     f"pages of the origin {shown!r} may not connect; to let them, set"

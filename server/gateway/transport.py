@@ -351,7 +351,6 @@ class Transport(asyncio.Protocol):
         self._take_turn_later()
 
     def start_delivery(self, client: Client) -> None:
-        """Hand frames over to a client as they come."""
         self._client = client
         self._take_turn_later()
 

@@ -250,7 +250,6 @@ class Graph:
             self._left(topic)
 
     def remove(self, node: Node) -> None:
-        """Forget a node that has left, everywhere."""
         self.actions.remove(node)
         self.services.remove(node)
         for name in self.publications.of(node):

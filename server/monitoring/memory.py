@@ -56,12 +56,7 @@ class CollectorPolicy:
         self._keeps_frozen = keeps_frozen
         self._before: tuple[int, int, int] | None = None
         self._began_s = 0.0
-        self._frozen = False
-
-    @property
-    def overdue(self) -> bool:
-        """True when objects were left out of collections since the last collection of all."""
-        return self._frozen
+        self.overdue = False  # true when objects were left out of collections since the last collection of all
 
     def start(self) -> None:
         """Collect, leave what lives as long as the server out of all that follow, and watch these."""
@@ -71,7 +66,6 @@ class CollectorPolicy:
         gc.callbacks.append(self._on_collection)
 
     def stop(self) -> None:
-        """Put the collector back to what it was."""
         if self._before is not None:
             gc.callbacks.remove(self._on_collection)
             gc.set_threshold(*self._before)
@@ -83,7 +77,7 @@ class CollectorPolicy:
             gc.unfreeze()
         gc.collect()
         gc.freeze()
-        self._frozen = False
+        self.overdue = False
 
     def _on_collection(self, phase: str, info: dict[str, Any]) -> None:
         if info["generation"] < len(THRESHOLDS) - 1:
@@ -92,7 +86,7 @@ class CollectorPolicy:
             self._began_s = self._clock()
         elif self._clock() - self._began_s > FREEZE_ABOVE_S:
             gc.freeze()
-            self._frozen = True
+            self.overdue = True
 
 
 def resident_bytes() -> int:
@@ -136,7 +130,6 @@ class MemoryKeeper:
             await self.check(time.monotonic())
 
     async def check(self, now_s: float) -> None:
-        """Collect or trim where it is due."""
         resident = self._read_bytes()
         settled = resident <= self._latest_bytes + SETTLED_BYTES
         self._latest_bytes = resident

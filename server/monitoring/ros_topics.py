@@ -264,7 +264,6 @@ def log_message(record: logging.LogRecord) -> dict[str, Any]:
 
 
 def offer_level_services(graph: Graph) -> None:
-    """Offer the services that get and set the levels of loggers."""
     node = graph.node(OUR_LOGGER)
     getting, setting = "rcl_interfaces/srv/GetLoggerLevels", "rcl_interfaces/srv/SetLoggerLevels"
     node.offer(GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"), rule=LOOKING)
@@ -276,8 +275,7 @@ def _limits(field: str) -> ListLimits:
 
 
 def _get_levels(request: dict[str, Any]) -> dict[str, Any]:
-    names = request["names"]
-    return {"levels": [{"name": name, "level": _level(name)} for name in names]}
+    return {"levels": [{"name": name, "level": _level(name)} for name in request["names"]]}
 
 
 def _set_levels(request: dict[str, Any]) -> dict[str, Any]:

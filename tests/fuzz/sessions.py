@@ -46,12 +46,6 @@ SOUND = 0.65
 CLIENTS = ((0, 1, 2, 3), (1, 0, 2, 3), (0, 1, 3, 2), (1, 0, 3, 2), (0, 3, 1, 2), (2, 0, 1, 3))
 GUEST = 2
 
-# Parts of interface files.
-PRIMITIVES = ("int32", "uint8", "string", "wstring", "string<=5", "float64", "bool")
-DECLARED = (*PRIMITIVES, "time", "Header", "std_msgs/Header", "Made")
-ARRAYS = ("", "", "", "[]", "[3]", "[<=4]", "[0]", "[-1]", "[", "[99999999999999999999]")
-DECLARED_NAMES = ("data", "a_b", "A", "MAX", "9x", "_a", "data__x", "")
-ASSIGNED = ("", "", "=", " = ", " 1", "=-1", '="a"', '="a', " [1, 2]", "=1.5 #", "=nan", " true", "=1e400")
 
 MAX_FRAMES = 200
 
@@ -96,18 +90,6 @@ class SessionMaker:
         """Choose who plays the clients of a case."""
         names = sorted({step["client"] for step in case})
         return dict(zip(names, self._random.choice(CLIENTS), strict=False))
-
-    def interface_file(self) -> bytes:
-        """Make an interface file, which `run_interface_file` reads."""
-        random = self._random
-        lines = [
-            "".join(map(random.choice, (DECLARED, ARRAYS, " ", DECLARED_NAMES, ASSIGNED, TEXTS[:6])))
-            if random.random() < 0.8
-            else random.choice(("---", "# ---", "", "   ", "\t# a: b", "string X=a # b"))
-            for _ in range(random.randrange(1, 20))
-        ]
-        data = "\n".join(lines).encode("utf-8", "replace")
-        return self._damaged(data) if random.random() < 0.3 else data
 
     def _parts_of(self, step: dict[str, Any], client: int) -> list[bytes]:
         """A step of a case as frames, each with its control byte."""

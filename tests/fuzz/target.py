@@ -1,18 +1,15 @@
-"""What a fuzzer feeds with any bytes: four clients on one graph, and the reader of interface files."""
+"""What a fuzzer feeds with any bytes: four clients on one graph."""
 
-import itertools
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TypeAlias
 
 import cbor2
 import orjson
 from bson import decode as decode_bson
 
 from protocol.codecs.bson import is_document
-from protocol.interface_packages import read_file
 from protocol.limits import Limits
 from protocol.publication import Frame
 from protocol.session import Session
@@ -170,13 +167,6 @@ def run_world(data: bytes) -> None:
         world.end()
 
 
-def run_interface_file(data: bytes) -> None:
-    """Read bytes as an interface file of each kind; whatever is wrong in it is told, and nothing is raised."""
-    text = data.decode("utf-8", errors="surrogateescape")
-    for kind, generation in itertools.product(("msg", "srv", "action"), ("ros1", "ros2")):
-        read_file(Path(f"Made.{kind}"), text, "made_msgs", kind, generation)
-
-
 def parts_of(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Cut bytes into frames, each with its control byte before it."""
     for part in data.split(SEPARATOR):
@@ -200,13 +190,10 @@ def frame_of(frame: bytes, *, binary: bool) -> str | bytes:
     return frame
 
 
-Run: TypeAlias = Callable[[bytes], None]
-
-
-def problem_of(data: bytes, run: Run = run_world) -> str | None:
+def problem_of(data: bytes) -> str | None:
     """Return the kind of find that some bytes are, None for none: the error and where it was raised."""
     try:
-        run(data)
+        run_world(data)
     except Exception as error:  # noqa: BLE001 - every one is a find
         cause = error.__cause__ or error
         trace = cause.__traceback__
@@ -217,22 +204,20 @@ def problem_of(data: bytes, run: Run = run_world) -> str | None:
     return None
 
 
-def cut_down(data: bytes, run: Run = run_world) -> bytes:
-    """Leave frames or lines out, as long as the same kind of find remains."""
-    kind = kind_of(problem_of(data, run))
-    separator = SEPARATOR if run is run_world else b"\n"
-    parts = data.split(separator)
+def cut_down(data: bytes) -> bytes:
+    """Leave frames out, as long as the same kind of find remains."""
+    kind, parts = kind_of(problem_of(data)), data.split(SEPARATOR)
     size = len(parts) // 2
     while size:
         start = 0
         while start < len(parts):
             shorter = parts[:start] + parts[start + size :]
-            if kind_of(problem_of(separator.join(shorter), run)) == kind:
+            if kind_of(problem_of(SEPARATOR.join(shorter))) == kind:
                 parts = shorter
             else:
                 start += size
         size //= 2
-    return separator.join(parts)
+    return SEPARATOR.join(parts)
 
 
 def kind_of(problem: str | None) -> str:

@@ -1,10 +1,11 @@
 """The contract of an arm: what a server may rely on, whatever hardware the arm has.
 
-tests/robot runs it on the ideal arm and on emulated Feetech servos. tests/processes/robot runs it on emulated Dynamixel
-servos, on Feetech servos at a pseudo terminal, and, with ``--arm PORT,CALIBRATION``, on a real arm. Between them the
-Feetech servos come from every population of :mod:`robot.emulator.populations` but the kit, which gets no torque. The
-tests turn the wrist by ``REACH_RAD`` from where they find the arm, and move the gripper by as much; no other joint
-moves. Emergency stops hold the arm, and torque is taken off only where nothing can fall. At the end the arm holds.
+tests/robot runs it on the ideal arm and on emulated Feetech servos as lerobot leaves them. tests/processes/robot runs
+it on emulated Dynamixel servos, on clones of Feetech servos, and, with ``--arm PORT,CALIBRATION``, on a real arm. The
+servos of a ROS 2 driver, and those at a pseudo terminal, which a busy machine makes silent, are driven by the campaign
+of faults. The tests turn the wrist by ``REACH_RAD`` from where they find the arm, and move the gripper by as much; no
+other joint moves. Emergency stops hold the arm, and torque is taken off only where nothing can fall. At the end the arm
+holds.
 """
 
 import asyncio
@@ -16,18 +17,25 @@ from typing import Any
 
 import pytest
 
-from harness.emulator import RunningEmulator
 from harness.waiting import TIMEOUT_S, until
 from robot.arm import Arm
 from robot.calibration import Calibration, find_calibration
 from robot.description.limits import within_calibration
-from robot.emulator.populations import POPULATIONS
 from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig
-from robot.messages import ArmConfig, ArmState, CommandDone, EmergencyPolicy, Mode, MotionEnded, Order, Outcome
+from robot.messages import (
+    ArmConfig,
+    ArmState,
+    CommandDone,
+    EmergencyPolicy,
+    Mode,
+    MotionEnded,
+    Order,
+    Outcome,
+)
 from robot.trajectory import Trajectory
 from tests.helpers import dynamixel
 from tests.helpers.motions import smooth_move
-from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration, recalibrated, so101
+from tests.helpers.robots import SO101, SO101_SERVOS, nominal_calibration, so101
 
 # Without weight on it, and with room to both sides.
 JOINT = "wrist_roll"
@@ -103,7 +111,8 @@ START_RAD = (0.1, -0.5, 0.4, 0.2, 0.1, 0.3)
 START = dict(zip((joint.joint for joint in NOMINAL.joints), START_RAD, strict=True))
 
 # Slow enough for a busy machine to notice that the arm is on its way before it is there.
-SLOW_S = 6.0
+SLOW_S = 12.0
+ON_ITS_WAY_RAD = 0.05 * REACH_RAD
 
 
 @contextlib.asynccontextmanager
@@ -111,16 +120,12 @@ async def place_of(kind: str, real_arm: str | None = None) -> AsyncIterator[Plac
     """Start an arm of a kind, the real one by its port and calibration, and close it at the end."""
     kind, _, population = kind.partition(", ")
     hardware: HardwareConfig = IdealConfig(start_rad=START)
-    robot, calibration, bus = so101(), NOMINAL, None
+    robot, calibration = so101(), NOMINAL
     if kind == "emulated":
         hardware = EmulatedConfig(NOMINAL, start_rad=START, population=population)
     elif kind == "emulated Dynamixel servos":
         robot, calibration = dynamixel.KOCH.model, dynamixel.CALIBRATION
         hardware = EmulatedConfig(calibration, kind="dynamixel", start_rad=START)
-    elif kind == "pseudo terminal":
-        bus = RunningEmulator(f"--start={','.join(map(str, START_RAD))}", "--population", population)
-        calibration = recalibrated(NOMINAL, POPULATIONS[population])
-        hardware = SerialConfig(calibration, bus.port)
     elif kind == "real arm" and real_arm:
         port, _, file = real_arm.partition(",")
         calibration = Calibration.load(find_calibration(file, SO101.hardware.calibrations, os.environ), SO101_SERVOS)
@@ -134,8 +139,6 @@ async def place_of(kind: str, real_arm: str | None = None) -> AsyncIterator[Plac
         yield made
     finally:
         await made.arm.close()
-        if bus is not None:
-            bus.end()
 
 
 class ArmContract:
@@ -164,11 +167,11 @@ class ArmContract:
     async def test_a_stop_ends_the_motion_on_the_way(self, place: Place) -> None:
         start = place.held()
         motion = place.arm.execute(place.move(REACH_RAD, duration_s=SLOW_S))
-        await until(lambda: abs(place.held() - start) > 0.2 * REACH_RAD)
+        await until(lambda: place.held() - start > ON_ITS_WAY_RAD)
         place.arm.stop()
         assert (await place.answer(motion)).outcome is Outcome.STOPPED
         assert place.arm.state.mode is Mode.HOLDING
-        assert 0.2 * REACH_RAD < place.held() - start < 0.9 * REACH_RAD
+        assert ON_ITS_WAY_RAD < place.held() - start < 0.9 * REACH_RAD
         await place.outcome(place.move(start - place.held()))
 
     async def test_a_motion_from_elsewhere_or_beyond_the_limits_is_refused(self, place: Place) -> None:
@@ -194,7 +197,7 @@ class ArmContract:
     async def test_an_emergency_stop_ends_the_motion_and_stays_until_it_is_reset(self, place: Place) -> None:
         start = place.held()
         motion = place.arm.execute(place.move(REACH_RAD, duration_s=SLOW_S))
-        await until(lambda: abs(place.held() - start) > 0.2 * REACH_RAD)
+        await until(lambda: place.held() - start > ON_ITS_WAY_RAD)
         assert (await place.arm.order(Order.EMERGENCY_STOP)).done
         assert (await place.answer(motion)).outcome is Outcome.FAULT
         assert await place.outcome(place.move(0.05)) is Outcome.REFUSED

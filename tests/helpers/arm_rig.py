@@ -5,6 +5,7 @@ from typing import Any, Self, TypeVar
 
 import numpy as np
 
+from robot import messages
 from robot.calibration import Calibration
 from robot.control.guards import ActuatorThresholds, Guards
 from robot.control.pacing import PERIOD_S, Pacer, Scheduling
@@ -17,20 +18,6 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
 from robot.hardware.interface import Actuation, HardwareInterface, Measured, Steps, Survey, run_to_end
 from robot.hardware.servos.hardware import ServoHardware
-from robot.messages import (
-    ArmConfig,
-    ArmHealth,
-    ArmState,
-    Command,
-    CommandDone,
-    Execute,
-    GuardLimits,
-    Heartbeat,
-    Mode,
-    MotionEnded,
-    Order,
-    Outcome,
-)
 from robot.trajectory import Trajectory
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import nominal_calibration, so101
@@ -58,9 +45,11 @@ PLAIN = Actuation.unprotected(np.full(6, 5.5), np.full(6, 0.46))
 
 
 def guards(
-    limits: GuardLimits | None = None, max_voltage_v: Any = NO_LIMIT, thresholds: ActuatorThresholds | None = None
+    limits: messages.GuardLimits | None = None,
+    max_voltage_v: Any = NO_LIMIT,
+    thresholds: ActuatorThresholds | None = None,
 ) -> Guards:
-    limits = limits or GuardLimits()
+    limits = limits or messages.GuardLimits()
     thresholds = thresholds or ActuatorThresholds.of(limits, PLAIN, np.ones(6))
     return Guards(NAMES, max_voltage_v, limits, thresholds)
 
@@ -84,7 +73,7 @@ NAMES = tuple(joint.joint for joint in CALIBRATION.joints)
 BOUNDS = JointBounds.of(ROBOT, NAMES)
 
 # A simulated arm's configuration, and that of one on metal, whose rules are stricter.
-CONFIG = ArmConfig(ROBOT, EmulatedConfig(CALIBRATION))
+CONFIG = messages.ArmConfig(ROBOT, EmulatedConfig(CALIBRATION))
 METAL = SerialConfig(CALIBRATION, "/dev/arm")
 
 # A transaction takes 1 to 2 ms, and the tick's own a third of its period.
@@ -94,13 +83,13 @@ STEPS_A_TICK = 4
 def unread_hardware(
     emulator: Any,
     config: SerialConfig | EmulatedConfig = METAL,
-    limits: GuardLimits | None = None,
+    limits: messages.GuardLimits | None = None,
     *,
     family: Callable[[], Any] = Feetech,
     bounds: JointBounds = BOUNDS,
 ) -> ServoHardware:
     """Hardware that was neither found nor read."""
-    opened, limits, simulated = emulator.open_bus(), limits or GuardLimits(), config.simulated
+    opened, limits, simulated = emulator.open_bus(), limits or messages.GuardLimits(), config.simulated
     return ServoHardware(family(), opened, config.calibration, bounds, limits, emulator.clock, simulated=simulated)
 
 
@@ -143,7 +132,7 @@ class ArmRig:
         self.clock = self.emulator.clock
         self.sent: list[object] = []
         self.alive = True
-        self.config = ArmConfig(**{"robot": ROBOT, "hardware": METAL, **settings})
+        self.config = messages.ArmConfig(**{"robot": ROBOT, "hardware": METAL, **settings})
         self.supervisor = Supervisor(
             self.config, lambda message, _: self.sent.append(message), self.clock, Scheduling()
         )
@@ -155,7 +144,7 @@ class ArmRig:
 
     def started(self) -> Self:
         """Wait until the arm holds, or is relaxed where it is not to be enabled; returns this."""
-        self.until_mode(Mode.HOLDING if self.config.start_enabled else Mode.RELAXED)
+        self.until_mode(messages.Mode.HOLDING if self.config.start_enabled else messages.Mode.RELAXED)
         return self
 
     def connect(self) -> None:
@@ -171,7 +160,7 @@ class ArmRig:
         return self._unread(self.emulator, config=config.hardware, limits=config.guard_limits)
 
     @property
-    def mode(self) -> Mode:
+    def mode(self) -> messages.Mode:
         return self.supervisor.mode
 
     @property
@@ -179,19 +168,19 @@ class ArmRig:
         return "" if self.supervisor.fault is None else self.supervisor.fault.code.value
 
     @property
-    def state(self) -> ArmState:
-        return next(message for message in reversed(self.sent) if isinstance(message, ArmState))
+    def state(self) -> messages.ArmState:
+        return next(message for message in reversed(self.sent) if isinstance(message, messages.ArmState))
 
     @property
-    def health(self) -> ArmHealth:
-        return next(message for message in reversed(self.sent) if isinstance(message, ArmHealth))
+    def health(self) -> messages.ArmHealth:
+        return next(message for message in reversed(self.sent) if isinstance(message, messages.ArmHealth))
 
     @property
-    def ended(self) -> list[MotionEnded]:
-        return [message for message in self.sent if isinstance(message, MotionEnded)]
+    def ended(self) -> list[messages.MotionEnded]:
+        return [message for message in self.sent if isinstance(message, messages.MotionEnded)]
 
     @property
-    def outcomes(self) -> list[Outcome]:
+    def outcomes(self) -> list[messages.Outcome]:
         """How the motions ended."""
         return [ended.outcome for ended in self.ended]
 
@@ -203,7 +192,7 @@ class ArmRig:
         self.clock.advance(PERIOD_S)
         self.pacer.start_tick(self.clock())
         if self.alive:
-            self.supervisor.handle(Heartbeat(self.observed))
+            self.supervisor.handle(messages.Heartbeat(self.observed))
         self.supervisor.tick(self.pacer, server_gone=False)
 
     def run(self, seconds: float) -> None:
@@ -216,39 +205,39 @@ class ArmRig:
             assert self.clock() < until_s, f"timed out in {self.mode}, {self.supervisor.fault}"
             self.tick()
 
-    def until_mode(self, mode: Mode) -> None:
+    def until_mode(self, mode: messages.Mode) -> None:
         self.until(lambda: self.mode is mode)
 
-    def begin(self, order: Order, calibration: Calibration | None = None) -> int:
+    def begin(self, order: messages.Order, calibration: Calibration | None = None) -> int:
         """Give an order; returns its number."""
         self._numbers += 1
-        self.supervisor.handle(Command(self._numbers, order, calibration))
+        self.supervisor.handle(messages.Command(self._numbers, order, calibration))
         return self._numbers
 
-    def answer(self, number: int) -> CommandDone | None:
-        answers = [each for each in self.sent if isinstance(each, CommandDone) and each.number == number]
+    def answer(self, number: int) -> messages.CommandDone | None:
+        answers = [each for each in self.sent if isinstance(each, messages.CommandDone) and each.number == number]
         assert len(answers) <= 1, "an order was answered twice"
         return answers[0] if answers else None
 
-    def order(self, order: Order, calibration: Calibration | None = None) -> CommandDone:
+    def order(self, order: messages.Order, calibration: Calibration | None = None) -> messages.CommandDone:
         """Give an order and wait for its answer."""
         return self.wait(self.begin(order, calibration))
 
-    def wait(self, number: int) -> CommandDone:
+    def wait(self, number: int) -> messages.CommandDone:
         """Wait for the answer to an order that was begun."""
         self.until(lambda: self.answer(number) is not None)
         answer = self.answer(number)
         assert answer is not None
         return answer
 
-    def refused(self, order: Order, calibration: Calibration | None = None) -> str:
+    def refused(self, order: messages.Order, calibration: Calibration | None = None) -> str:
         """Give an order that is refused; returns the reason."""
         answer = self.order(order, calibration)
         assert not answer.done, answer.message
         return answer.message
 
     def execute(self, trajectory: Trajectory, motion_id: int = 1, **options: Any) -> None:
-        self.supervisor.handle(Execute(motion_id, trajectory, **options))
+        self.supervisor.handle(messages.Execute(motion_id, trajectory, **options))
 
     def torque(self) -> list[int]:
         """Register TORQUE_ENABLE of every servo."""

@@ -1,9 +1,7 @@
-"""A planner process like the real one, but for requests whose group names a fault, or what racers do."""
+"""A planner process like the real one, but for requests whose group names a fault."""
 
 import ctypes
-import dataclasses
 import itertools
-import math
 import os
 import signal
 import time
@@ -14,7 +12,7 @@ from typing import Any
 from planners import worker
 from planners.budget import never
 from planners.pipeline import Planner
-from planners.problem import Answer, MoveItErrorCode, PlanningFailure, PlanningProblem, Request, StateAnswer
+from planners.problem import Answer, Request, StateAnswer
 
 # Stands for a native library that holds the interpreter and never looks at signals.
 NATIVE_LOOP = "native loop"
@@ -29,13 +27,6 @@ NOT_TO_BE_PACKED = "not to be packed"
 NO_MESSAGE = "no message"
 HUGE_MESSAGE = "huge message"
 DEAF = "deaf"
-
-# Ends of a racer's search, beside the faults: with a plan, or never before the allowed time.
-PLAN = "plan"
-NONE = "none"
-
-# CPU time of a first racer's search that ends; that of the others takes twice as long, and all prove hard [s].
-SEARCH_S = 3 * worker.HARD_AFTER_S
 
 
 def _write_to_server(data: bytes) -> Any:
@@ -76,33 +67,10 @@ FAULTS: dict[str, Callable[[], Any]] = {
 }
 
 
-def _search(problem: PlanningProblem, should_stop: Callable[[], bool], lasting_s: float) -> PlanningFailure | None:
-    """Find nothing for so much CPU time; the failure of a search that is stopped, or lasts too long."""
-    began_s = time.process_time()
-    while (spent_s := time.process_time() - began_s) < lasting_s:
-        if should_stop():
-            return PlanningFailure(MoveItErrorCode.PREEMPTED, "stopped")
-        if spent_s > problem.allowed_time_s:
-            return PlanningFailure(MoveItErrorCode.TIMED_OUT, "no motion was found")
-    return None
-
-
-def racers(first: str, others: str) -> str:
-    """Group of a problem: how the search ends for the first racer, who has seed 0, and how for the others."""
-    return f"{first}|{others}"
-
-
 class BrokenPlanner(Planner):
-    """Plans, unless the group is a fault's name, or says what racers do."""
+    """Plans, unless the group is a fault's name."""
 
     def answer(self, request: Request, should_stop: Callable[[], bool] = never) -> Answer:
-        if isinstance(request, PlanningProblem) and "|" in request.group:
-            other = request.seed > 0
-            end = request.group.split("|")[other]
-            stopped = _search(request, should_stop, math.inf if end == NONE else SEARCH_S * (1 + other))
-            if stopped is not None:
-                return stopped
-            request = dataclasses.replace(request, group="arm" if end == PLAN else end)
         fault = FAULTS.get(getattr(request, "group", ""))
         if fault is not None:
             answer: Answer = fault()

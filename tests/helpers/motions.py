@@ -5,23 +5,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from planners import problem
 from planners.goals import JointGoal
-from planners.problem import (
-    Answer,
-    CartesianPlan,
-    CartesianProblem,
-    ConcurrencyQuestion,
-    IkAnswer,
-    IkQuestion,
-    Line,
-    Plan,
-    PlanningProblem,
-    RecheckAnswer,
-    RecheckQuestion,
-    Request,
-    StateAnswer,
-    StateQuestion,
-)
 from planners.scene import Pose
 from robot.trajectory import Trajectory
 
@@ -40,10 +25,10 @@ def smooth_move(moves: Mapping[str, tuple[float, float]], duration_s: float, rat
 
 NAMES = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 START = {**dict.fromkeys(NAMES, 0.0), "gripper": 0.0}
-EASY = PlanningProblem("arm", START, JointGoal({"shoulder_pan": 0.5}))
-STATE = StateQuestion("arm", START)
+EASY = problem.PlanningProblem("arm", START, JointGoal({"shoulder_pan": 0.5}))
+STATE = problem.StateQuestion("arm", START)
 # Through the arm itself: RRT* searches for shorter paths until the time is over.
-LONG = PlanningProblem(
+LONG = problem.PlanningProblem(
     "arm",
     {**dict(zip(NAMES, (1.0899, -1.4202, 1.3815, 1.3879, -1.704), strict=True)), "gripper": 0.0},
     JointGoal(dict(zip(NAMES, (-1.1337, -1.2821, 1.4034, 1.2004, 1.2428), strict=True))),
@@ -54,16 +39,19 @@ LONG = PlanningProblem(
 STILL = Trajectory(NAMES, np.zeros(1), np.zeros((1, 5)), np.zeros((1, 5)), np.zeros((1, 5)))
 FINGER = Trajectory(("gripper",), np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1)))
 # Each kind of request, and the kind of its answer.
-REQUESTS: list[tuple[Request, type[Answer]]] = [
-    (EASY, Plan),
-    (CartesianProblem("arm", START, "gripper_frame_link", (Line(Pose((0.3, 0.0, 0.2))),)), CartesianPlan),
-    (IkQuestion("arm", START, JointGoal({"shoulder_pan": 0.5})), IkAnswer),
-    (STATE, StateAnswer),
-    (RecheckQuestion("arm", STILL, START, 0.0), RecheckAnswer),
-    (ConcurrencyQuestion(STILL, FINGER, START), RecheckAnswer),
+REQUESTS: list[tuple[problem.Request, type[problem.Answer]]] = [
+    (EASY, problem.Plan),
+    (
+        problem.CartesianProblem("arm", START, "gripper_frame_link", (problem.Line(Pose((0.3, 0.0, 0.2))),)),
+        problem.CartesianPlan,
+    ),
+    (problem.IkQuestion("arm", START, JointGoal({"shoulder_pan": 0.5})), problem.IkAnswer),
+    (STATE, problem.StateAnswer),
+    (problem.RecheckQuestion("arm", STILL, START, 0.0), problem.RecheckAnswer),
+    (problem.ConcurrencyQuestion(STILL, FINGER, START), problem.RecheckAnswer),
 ]
 
 
-def broken(fault: str, allowed_time_s: float = 10.0) -> PlanningProblem:
+def broken(fault: str, allowed_time_s: float = 10.0) -> problem.PlanningProblem:
     """A problem that the planner of :mod:`tests.helpers.broken_planner` meets with a fault."""
     return dataclasses.replace(EASY, group=fault, allowed_time_s=allowed_time_s)

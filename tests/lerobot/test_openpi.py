@@ -155,7 +155,8 @@ def pan_rad(arm: Arm) -> float:
     [
         ("trace", (), "the policy failed on its server: KeyError: 'observation/state'"),
         ("narrow", (), "actions: must have the shape (n, 6), for shoulder_pan, "),
-        ("nan", ("--openpi.radians=false",), "shoulder_pan.pos: must be a finite number, is nan"),
+        ("nan", (), "actions: must be finite numbers"),
+        ("syntax", (), "cannot be read: '(' was never closed"),
         ("objects", (), "cannot be read: an array has the type '|O', which is no number"),
         ("cut", (), "cannot be read: "),
         ("no map", (), "must answer with a map, not list"),

@@ -7,23 +7,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from planners import problem
 from planners.geometry.collision import CollisionModel
 from planners.geometry.kinematics import ForwardKinematics
 from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.pipeline import Planner
-from planners.problem import (
-    CartesianPlan,
-    CartesianProblem,
-    IkAnswer,
-    IkQuestion,
-    JointPathProblem,
-    Line,
-    Plan,
-    PlanningProblem,
-    RecheckAnswer,
-    RecheckQuestion,
-    StateQuestion,
-)
 from planners.problem import MoveItErrorCode as Code
 from planners.scene import Box, Pose
 from planners.servo.question import JointVelocities, ServoLimits, ServoQuestion
@@ -69,8 +57,8 @@ def test_it_goes_from_pose_to_pose_with_the_orientation_that_is_asked_for(group:
     planner, positions, placements = Planner(FETCH, time.process_time), FETCH_START_RAD, ForwardPlacements(FETCH)
     for point, quaternion in itertools.chain(POSES, POSES[:1]):
         goal = PoseGoal(FETCH_TIP, Pose(point, quaternion), POSITION_M, (ORIENTATION_RAD,) * 3, strict=True)
-        plan = planner.plan(PlanningProblem(group, positions, goal))
-        assert isinstance(plan, Plan), plan
+        plan = planner.plan(problem.PlanningProblem(group, positions, goal))
+        assert isinstance(plan, problem.Plan), plan
         end_rad = plan.trajectory.positions_rad[-1].tolist()
         positions = {**positions, **dict(zip(plan.trajectory.joint_names, end_rad, strict=True))}
         reached = placements.transforms(positions)[FETCH_TIP]
@@ -114,28 +102,22 @@ def place_m(q, link):
     return PALLETIZER_FORWARD.placement(link).translation.copy()
 
 
-def test_both_kinematics_place_the_links_alike_and_the_jacobian_counts_what_follows():
-    placements, step_rad = ForwardPlacements(PALLETIZER), 1e-6
-    for q in STATES[:10]:
-        PALLETIZER_FORWARD.place(q)
-        transforms = placements.transforms(dict(zip(NAMES, q.tolist(), strict=True)))
-        for link in PALLETIZER.links:
-            np.testing.assert_allclose(PALLETIZER_FORWARD.placement(link).homogeneous, transforms[link], atol=1e-12)
+def test_the_jacobian_counts_what_follows_and_no_point_travels_further_than_is_said(collision):
+    step_rad = 1e-6
     for q in STATES[:5]:
         for link in ("wrist", "right"):
             moved_m = [place_m(q + step, link) - place_m(q - step, link) for step in step_rad * np.eye(len(NAMES))]
             slopes = np.array(moved_m).T / (2.0 * step_rad)
             np.testing.assert_allclose(PALLETIZER_FORWARD.jacobian(q, link)[:3], slopes, atol=1e-8)
-
-
-def test_no_point_travels_further_than_is_said_and_fingers_that_close_are_said_to_come_nearer(collision):
-    step_rad = 1e-4
     for q in STATES:
         for column, step in enumerate(step_rad * np.eye(len(NAMES))):
             for link in ("wrist", "left", "right"):
                 start_m, end_m = PALLETIZER_FORWARD.placements([q, q + step], link).positions_m
                 most_m = collision.travel_m_per_rad[column] * step_rad * (1.0 + 1e-6)
                 assert np.linalg.norm(end_m - start_m) <= most_m
+
+
+def test_fingers_that_close_on_each_other_touch_and_are_said_to_come_nearer(collision):
     apart, way = np.zeros(3), 0.6 * (np.array(collision.joint_names) == "grip")
     assert frozenset(("left", "right")) in {pair.links for pair in collision.colliding_pairs(apart - way)}
     assert not collision.in_collision(apart)
@@ -147,16 +129,16 @@ def test_a_wrist_that_follows_reaches_goals_and_a_finger_touches_what_is_in_its_
         rng = np.random.default_rng(seed)
         wanted_m = place_m(np.array([rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 0.1), 0.0]), "wrist")
         goal = PositionGoal("wrist", tuple(wanted_m.tolist()), 0.001)
-        plan = palletizer_planner.plan(PlanningProblem("arm", dict.fromkeys(NAMES, 0.0), goal))
-        assert isinstance(plan, Plan), plan
+        plan = palletizer_planner.plan(problem.PlanningProblem("arm", dict.fromkeys(NAMES, 0.0), goal))
+        assert isinstance(plan, problem.Plan), plan
         ends = dict(zip(plan.trajectory.joint_names, plan.trajectory.positions_rad[-1].tolist(), strict=True))
         reached_m = place_m(np.array([ends.get(name, 0.0) for name in NAMES]), "wrist")
         assert np.linalg.norm(reached_m - wanted_m) <= 0.001
-    grip = PlanningProblem("hand", dict.fromkeys(NAMES, 0.0), JointGoal({"grip": 1.0}))
-    assert isinstance(palletizer_planner.plan(grip), Plan)
+    grip = problem.PlanningProblem("hand", dict.fromkeys(NAMES, 0.0), JointGoal({"grip": 1.0}))
+    assert isinstance(palletizer_planner.plan(grip), problem.Plan)
     put(palletizer_planner, thing(Box((0.02, 0.02, 0.2)), 0.47, -0.055, 0.12))
     answer = palletizer_planner.plan(grip)
-    assert not isinstance(answer, Plan)
+    assert not isinstance(answer, problem.Plan)
     assert "right" in answer.message
 
 
@@ -181,37 +163,42 @@ def pair_planner() -> Planner:
 
 
 def test_the_other_arm_moves_and_its_motion_is_free_on_the_way(pair_planner: Planner) -> None:
-    plan = pair_planner.answer(PlanningProblem("left_arm", PAIR_START_RAD, JointGoal(GOAL_RAD)))
-    assert isinstance(plan, Plan), plan
+    plan = pair_planner.answer(problem.PlanningProblem("left_arm", PAIR_START_RAD, JointGoal(GOAL_RAD)))
+    assert isinstance(plan, problem.Plan), plan
     assert np.allclose(plan.trajectory.positions_rad[-1], list(GOAL_RAD.values()))
     others = {name: value for name, value in PAIR_START_RAD.items() if name not in LEFT}
-    assert pair_planner.answer(RecheckQuestion("left_arm", plan.trajectory, others, 0.1)) == RecheckAnswer(None)
+    question = problem.RecheckQuestion("left_arm", plan.trajectory, others, 0.1)
+    assert pair_planner.answer(question) == problem.RecheckAnswer(None)
 
 
 def test_questions_about_the_other_arm_are_answered(pair_planner: Planner) -> None:
-    assert isinstance(pair_planner.answer(IkQuestion("left_arm", PAIR_START_RAD, JointGoal(GOAL_RAD))), IkAnswer)
+    assert isinstance(
+        pair_planner.answer(problem.IkQuestion("left_arm", PAIR_START_RAD, JointGoal(GOAL_RAD))), problem.IkAnswer
+    )
     points = np.array([[0.0] * 5, [0.2] * 5])
-    assert isinstance(pair_planner.answer(JointPathProblem(PAIR_START_RAD, LEFT, np.array([0.0, 2.0]), points)), Plan)
+    assert isinstance(
+        pair_planner.answer(problem.JointPathProblem(PAIR_START_RAD, LEFT, np.array([0.0, 2.0]), points)), problem.Plan
+    )
     command = JointVelocities({"left_shoulder_pan": 0.3})
     steered = pair_planner.answer(
         ServoQuestion("left_arm", LEFT_TIP, PAIR_START_RAD, {}, 0.02, command, None, ServoLimits())
     )
     assert steered.velocity_rad_s["left_shoulder_pan"] > 0.0
     x, y, z = ForwardPlacements(PAIR).transforms(PAIR_START_RAD)[LEFT_TIP][:3, 3].tolist()
-    line = Line(Pose((x - 0.05, y, z), (0.0, 0.0, 0.0, 1.0)))
-    followed = pair_planner.answer(CartesianProblem("left_arm", PAIR_START_RAD, LEFT_TIP, (line,)))
-    assert isinstance(followed, CartesianPlan), followed
+    line = problem.Line(Pose((x - 0.05, y, z), (0.0, 0.0, 0.0, 1.0)))
+    followed = pair_planner.answer(problem.CartesianProblem("left_arm", PAIR_START_RAD, LEFT_TIP, (line,)))
+    assert isinstance(followed, problem.CartesianPlan), followed
     assert followed.fraction > 0.9
 
 
 def test_the_arm_that_sags_does_not_move_out_of_a_deep_contact_nor_the_other_into_one(pair_planner) -> None:
     for group in ("right_arm", "both_arms"):
         goal_rad = dict.fromkeys(PAIR.groups[group].joints, 0.1)
-        found = pair_planner.answer(PlanningProblem(group, PAIR_START_RAD, JointGoal(goal_rad)))
+        found = pair_planner.answer(problem.PlanningProblem(group, PAIR_START_RAD, JointGoal(goal_rad)))
         assert found.code is Code.START_STATE_IN_COLLISION
-    state = pair_planner.answer(StateQuestion("left_arm", PAIR_START_RAD))
+    state = pair_planner.answer(problem.StateQuestion("left_arm", PAIR_START_RAD))
     assert not state.valid
     assert "right_base_link and right_wrist_link by 51" in state.problems[0].message
     goal_rad = GOAL_RAD | {f"left_{name}": value for name, value in SAGGING.items()}
-    found = pair_planner.answer(PlanningProblem("left_arm", PAIR_START_RAD, JointGoal(goal_rad)))
+    found = pair_planner.answer(problem.PlanningProblem("left_arm", PAIR_START_RAD, JointGoal(goal_rad)))
     assert found.code is Code.GOAL_IN_COLLISION

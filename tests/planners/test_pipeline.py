@@ -87,12 +87,18 @@ def test_motions_keep_the_jerk_limits_of_a_robot_file(setting, blocked, tmp_path
     assert trajectory.duration_s > setting.planner.plan(blocked).trajectory.duration_s
 
 
-def test_same_problem_and_seed_have_the_same_plan(setting, blocked, robot):
+def test_same_problem_and_seed_have_the_same_plan_with_the_deviation_of_its_end(setting, blocked, robot):
     planners = setting.planner, Planner(robot, time.process_time), setting.planner
     first, *others = (planner.plan(blocked).trajectory for planner in planners)
     for trajectory in others:
         np.testing.assert_array_equal(trajectory.time_s, first.time_s)
         np.testing.assert_array_equal(trajectory.positions_rad, first.positions_rad)
+    # A pose on five joints.
+    pose = Pose((0.25, 0.1, 0.2))
+    plan = setting.solve(setting.problem(PoseGoal(TIP, pose, 0.005, (0.01, 0.01, 0.01))))
+    assert np.linalg.norm(np.subtract(setting.tip_m(setting.home() | end_of(plan)), pose.position_m)) <= 0.005
+    assert plan.deviation.position_m <= 0.005
+    assert plan.deviation.orientation_rad > 0.1
 
 
 def test_goal_that_already_holds_needs_no_motion_and_a_start_slightly_beyond_a_limit_moves_from_the_limit(setting):
@@ -163,14 +169,6 @@ def test_an_arm_of_another_kind_is_planned_for_until_the_time_is_over():
     assert Planner(crane, lambda: float(next(ticks))).plan(problem).code is Code.TIMED_OUT
 
 
-def test_deviation_of_a_pose_on_five_joints_is_that_of_the_end(setting):
-    pose = Pose((0.25, 0.1, 0.2))
-    plan = setting.solve(setting.problem(PoseGoal(TIP, pose, 0.005, (0.01, 0.01, 0.01))))
-    assert np.linalg.norm(np.subtract(setting.tip_m(setting.home() | end_of(plan)), pose.position_m)) <= 0.005
-    assert plan.deviation.position_m <= 0.005
-    assert plan.deviation.orientation_rad > 0.1
-
-
 def test_path_constraints_are_kept_all_the_way_around_an_obstacle(robot, setting):
     planner = Planner(robot, time.process_time)
     wall = thing(Box((0.3, 0.02, 0.08)), 0.25, 0.0, 0.04, name="wall")
@@ -195,6 +193,17 @@ def test_bad_scene_is_refused_and_the_one_before_stays(robot, setting):
     failure = planner.plan(setting.problem(JointGoal({"wrist_roll": 0.3})))
     assert failure.code is Code.START_STATE_IN_COLLISION
     assert "block" in failure.message
+
+
+def test_all_that_is_wrong_with_a_state_is_told(planner, at_home):
+    assert planner.answer(StateQuestion("arm", at_home)).problems == ()
+    answer = planner.answer(StateQuestion("arm", at_home | FOLDED_DEEP | {"wrist_roll": 3.0}, ROLLED))
+    assert not answer.valid
+    beyond, contact, violated = answer.problems
+    assert (beyond.code, beyond.details["joint"]) == (Code.INVALID_ROBOT_STATE, "wrist_roll")
+    assert contact.code is Code.START_STATE_IN_COLLISION
+    assert contact.details["pairs"]
+    assert violated.code is Code.GOAL_CONSTRAINTS_VIOLATED
 
 
 @pytest.fixture(scope="module")
@@ -256,18 +265,6 @@ def test_configuration_for_a_goal_is_one_by_name_for_every_joint_in_which_the_co
     deep = JointGoal(FOLDED_DEEP)
     assert ask(IkQuestion("arm", at_home, deep)).code is Code.GOAL_IN_COLLISION
     assert ask(IkQuestion("arm", at_home, deep, avoid_collisions=False)).positions_rad[0]["elbow_flex"] == 1.69
-
-
-def test_all_that_is_wrong_with_a_state_is_told(planner, at_home):
-    assert planner.answer(StateQuestion("arm", at_home)).problems == ()
-    answer = planner.answer(StateQuestion("arm", at_home | FOLDED_DEEP | {"wrist_roll": 3.0}, ROLLED))
-    assert not answer.valid
-    beyond, contact, violated = answer.problems
-    assert beyond.code is Code.INVALID_ROBOT_STATE
-    assert beyond.details["joint"] == "wrist_roll"
-    assert contact.code is Code.START_STATE_IN_COLLISION
-    assert contact.details["pairs"]
-    assert violated.code is Code.GOAL_CONSTRAINTS_VIOLATED
 
 
 def test_a_budget_and_its_shares_last_until_the_allowed_time_is_spent_or_they_are_asked_to_stop():

@@ -95,20 +95,19 @@ async def test_questions_do_not_wait_for_a_search_that_cancelling_ends(pool: Pla
     assert len(farm.workers) == 2
 
 
-async def test_more_requests_than_may_wait_are_refused(pool: PlannerPool) -> None:
+async def test_a_worker_that_has_the_scene_is_taken_before_one_that_has_not_and_too_many_requests_are_refused(
+    pool: PlannerPool, farm: Farm
+) -> None:
+    await pool.ask(EASY, Scene(1))
+    assert [worker.has(Scene(1)) for worker in farm.workers] == [True, False]
+    await pool.ask(EASY, Scene(1))
+    assert not farm.workers[1].asked
     asking = [asyncio.create_task(pool.ask(LONG)) for _ in range(MAX_WAITING + 1)]
     await asyncio.sleep(0.001)
     answer = await pool.ask(EASY)
     assert answer.code is MoveItErrorCode.FAILURE
     assert f"limit {MAX_WAITING}" in answer.message
     await given_up(*asking)
-
-
-async def test_a_worker_that_has_the_scene_is_taken_before_one_that_has_not(pool: PlannerPool, farm: Farm) -> None:
-    await pool.ask(EASY, Scene(1))
-    assert [worker.has(Scene(1)) for worker in farm.workers] == [True, False]
-    await pool.ask(EASY, Scene(1))
-    assert not farm.workers[1].asked
 
 
 async def test_the_spare_takes_over_before_a_cancelled_worker_listens(
@@ -139,30 +138,26 @@ def late(pool: PlannerPool, farm: Farm, monkeypatch: pytest.MonkeyPatch) -> Farm
     return farm
 
 
-@pytest.mark.parametrize("request_", [LATE, STATE, RECHECK, SERVO], ids=["motion", "question", "recheck", "steering"])
-async def test_a_worker_that_is_late_is_given_up_and_kept_once_it_listens(
-    pool: PlannerPool, late: Farm, request_: Request
-) -> None:
-    began_s = asyncio.get_running_loop().time()
+async def test_a_worker_that_is_late_is_given_up_and_kept_once_it_listens(pool: PlannerPool, late: Farm) -> None:
     words = "the planner did not answer within 1 s and was given up"
-    assert await pool.ask(request_) == PlanningFailure(MoveItErrorCode.TIMED_OUT, words)
-    assert asyncio.get_running_loop().time() - began_s == pytest.approx(0.5)
-    await idle(pool, 2)
+    for request in (LATE, STATE, RECHECK, SERVO):
+        began_s = asyncio.get_running_loop().time()
+        assert await pool.ask(request) == PlanningFailure(MoveItErrorCode.TIMED_OUT, words), request
+        assert asyncio.get_running_loop().time() - began_s == pytest.approx(0.5)
+        await idle(pool, 2)
     assert not any(worker.killed for worker in late.workers)
+    # One that never listens is replaced.
+    answer = await pool.ask(searched(DEAF, allowed_time_s=1.0))
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    await asyncio.sleep(0.01)
+    assert [worker.killed > 0 for worker in late.workers[:2]] == [True, False]
+    await idle(pool, 2)
 
 
 async def test_a_state_is_answered_on_a_machine_too_busy_for_arms(pool: PlannerPool, farm: Farm) -> None:
     farm.question_s = 5.0
     assert await pool.ask(STATE) is SOUND
     assert isinstance(await pool.ask(RECHECK), PlanningFailure)
-
-
-async def test_a_worker_that_never_listens_is_replaced(pool: PlannerPool, late: Farm) -> None:
-    answer = await pool.ask(searched(DEAF, allowed_time_s=1.0))
-    assert answer.code is MoveItErrorCode.TIMED_OUT
-    await asyncio.sleep(0.01)
-    assert [worker.killed > 0 for worker in late.workers[:2]] == [True, False]
-    await idle(pool, 2)
 
 
 async def test_every_kind_of_request_has_an_allowed_time_that_does_not_hold_a_worker_for_ever() -> None:

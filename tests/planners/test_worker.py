@@ -29,27 +29,27 @@ from tests.planners.small_arms import PALLETIZER_SRDF, PALLETIZER_URDF
 # What a plain goal does not need and takes long to load, by the names in sys.modules.
 LATE_LIBRARIES = {"matplotlib", "scipy", "pydantic", "PIL"}
 
-
-def test_a_worker_starts_without_what_a_plain_goal_does_not_need() -> None:
-    loaded = run_python(
-        "import sys; from pathlib import Path; from planners import worker; from robot.description import model;"
-        "arm = Path('robot/arms/so101'); worker.Planner(model.load(arm / 'so101.urdf', arm / 'so101.srdf'));"
-        "print(*sys.modules)"
-    ).stdout.split()
-    assert "planners.pipeline" in loaded
-    assert not LATE_LIBRARIES.intersection(loaded)
-
-
-def test_running_out_of_memory_is_an_error_that_can_be_caught() -> None:
-    program = """
+PROGRAM = """
+import sys
+from pathlib import Path
 from planners import worker
+from robot.description import model
+arm = Path("robot/arms/so101")
+worker.Planner(model.load(arm / "so101.urdf", arm / "so101.srdf"))
+print(*sys.modules)
 worker.limit_memory(400 << 20)
 try:
     worker.Planner.__module__ * (500 << 20)
 except MemoryError:
     print("caught")
 """
-    assert run_python(program).stdout == "caught\n"
+
+
+def test_a_worker_starts_without_what_a_plain_goal_does_not_need_and_can_catch_a_lack_of_memory() -> None:
+    loaded, caught = run_python(PROGRAM).stdout.splitlines()
+    assert "planners.pipeline" in loaded.split()
+    assert not LATE_LIBRARIES.intersection(loaded.split())
+    assert caught == "caught"
 
 
 class Planning:
@@ -133,23 +133,22 @@ def test_a_robot_that_cannot_be_loaded_is_told_and_nothing_is_answered(
     assert len(caplog.records) == traces
 
 
-def test_a_scene_that_comes_in_parts_is_set_up_once_with_the_next_request(server: Server, planning: Planning) -> None:
+def test_a_scene_in_parts_is_set_up_once_with_the_next_request_and_refused_in_every_answer(
+    server: Server, planning: Planning
+) -> None:
     other = dataclasses.replace(BOX, name="other")
     server.sends(NewScene(Scene(3)), MoreObjects((BOX,)), MoreObjects((other,)))
     assert planning.scenes == []
     server.sends(Ask(1, STATE), Ask(2, STATE))
     assert planning.scenes == [Scene(3, (BOX, other))]
-
-
-def test_a_scene_that_is_refused_is_the_answer_to_every_request_in_it(server: Server, planning: Planning) -> None:
     planning.refusal = PlanningFailure(Code.INVALID_OBJECT_NAME, "twice")
-    answers = server.sends(NewScene(Scene(3)), Ask(1, STATE), Ask(2, STATE))
-    assert answers == [Answered(1, planning.refusal), Answered(2, planning.refusal)]
+    answers = server.sends(NewScene(Scene(4)), Ask(3, STATE), Ask(4, STATE))
+    assert answers == [Answered(3, planning.refusal), Answered(4, planning.refusal)]
     planning.refusal = None
-    assert server.sends(NewScene(Scene(4)), Ask(3, STATE)) == [Answered(3, SOUND)]
+    assert server.sends(NewScene(Scene(5)), Ask(5, STATE)) == [Answered(5, SOUND)]
     # A scene that cannot be set up is tried again.
     planning.set_scene = lambda _scene: 1 / 0
-    for number, scenes in ((4, [NewScene(Scene(5))]), (5, [])):
+    for number, scenes in ((6, [NewScene(Scene(6))]), (7, [])):
         (answered,) = server.sends(*scenes, Ask(number, STATE))
         assert "ZeroDivisionError" in answered.answer.message
 

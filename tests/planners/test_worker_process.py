@@ -98,7 +98,15 @@ async def worked(monkeypatch: pytest.MonkeyPatch) -> Worked:
     return await Worked().started()
 
 
-async def test_a_scene_given_up_half_way_is_sent_anew(worked: Worked) -> None:
+async def test_a_scene_given_up_half_way_is_sent_again_and_a_request_too_large_harms_nothing(worked: Worked) -> None:
+    worked.child.too_large = True
+    answer = await worked.worker.ask(STATE, Scene(4))
+    assert "over the limit of 8" in answer.message
+    worked.child.too_large = False
+    asking = await worked.asked(STATE, Scene(4))
+    assert worked.sent == [NewScene, Ask]
+    worked.worker._resolve(SOUND)
+    assert await asking is SOUND
     large = Scene(3, boxes(600))
     asking = asyncio.create_task(worked.worker.ask(STATE, large))
     await asyncio.sleep(0)
@@ -109,17 +117,6 @@ async def test_a_scene_given_up_half_way_is_sent_anew(worked: Worked) -> None:
     await worked.asked(STATE, large)
     sent = worked.sent
     assert (sent[0], sent[-1], len(sent)) == (NewScene, Ask, 2 + len(list(parts(large.objects))))
-
-
-async def test_a_request_too_large_for_a_message_is_refused_and_harms_nothing(worked: Worked) -> None:
-    worked.child.too_large = True
-    answer = await worked.worker.ask(STATE, Scene(4))
-    assert "over the limit of 8" in answer.message
-    worked.child.too_large = False
-    asking = await worked.asked(STATE, Scene(4))
-    assert worked.sent == [NewScene, Ask]
-    worked.worker._resolve(SOUND)
-    assert await asking is SOUND
 
 
 async def test_a_worker_that_answers_nonsense_or_ends_gets_no_more(monkeypatch: pytest.MonkeyPatch) -> None:

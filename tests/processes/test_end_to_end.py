@@ -117,12 +117,13 @@ def goal_ticks(entry: dict[str, Any], servo: str) -> int:
 async def test_stop_ends_the_motion_along_its_path_and_empties_the_queue(client: FrameClient) -> None:
     assert (await client.reach("/moveit_goal_named", {"data": "home"}))["val"] == 1
     seen = len(client.messages(RESULT))
-    far = {"name": ["shoulder_pan"], "position": [1.5]}
-    await client.publish("/moveit_goal_joints", far)
+    await client.set_speed(0.2)
+    await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
     for _ in range(3):
         await client.publish("/moveit_goal_named", {"data": "ready"})
     await client.until("/joint_states", lambda all_: all_[-1]["position"][0] > 0.2)
     await client.publish("/stop", {})
+    await client.set_speed(1.0)
     results = (await client.until(RESULT, lambda all_: len(all_) == seen + 4))[seen:]
     assert [result["val"] for result in results] == [-7] * 4
     seen = len(client.messages("/joint_states"))
@@ -139,6 +140,7 @@ async def ended(server: RunningServer, folder: Path, number: signal.Signals) -> 
     async with frame_client(server.url) as client:
         await client.open_goals()
         await client.reach("/moveit_goal_named", {"data": "ready"})
+        await client.set_speed(0.2)
         await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
         await client.until("/moveit_goal_status", goal_is("executing"))
         code, _ = await asyncio.to_thread(server.end, number)

@@ -24,9 +24,12 @@ async def caller(server: RunningServer) -> AsyncIterator[ArmClient]:
         await connected.call("/simulation/pause", data=False)
 
 
-async def on_its_way(client: FrameClient, name: str) -> None:
+async def on_its_way(client: FrameClient, caller: ArmClient, name: str) -> None:
+    """Begin a goal while time stands still, so that it is not over before the test goes on, and let some time pass."""
+    assert (await caller.call("/simulation/pause", data=True))["success"]
     await client.publish("/moveit_goal_named", {"data": name})
     await client.until(STATUS, goal_is("executing"))
+    assert (await caller.call("/simulation/step", steps=20))["message"] == "20 of 20 steps are done"
 
 
 async def result(client: FrameClient) -> int:
@@ -57,10 +60,10 @@ async def test_a_goal_of_a_paused_arm_waits_and_its_client_may_leave_meanwhile(
     async with arm_client(server.url) as leaving:
         assert (await leaving.call("/simulation/pause", data=True))["success"]
     before = await client.positions()
-    await on_its_way(client, "extended")
+    await client.publish("/moveit_goal_named", {"data": "extended"})
+    await client.until(STATUS, goal_is("executing"))
     assert await client.positions() == before
-    for _ in range(3):
-        assert (await caller.call("/simulation/step", steps=20))["message"] == "20 of 20 steps are done"
+    assert (await caller.call("/simulation/step", steps=60))["message"] == "60 of 60 steps are done"
     assert await client.positions() != before
     assert client.messages(RESULT) == []
     await caller.call("/simulation/pause", data=False)
@@ -70,8 +73,7 @@ async def test_a_goal_of_a_paused_arm_waits_and_its_client_may_leave_meanwhile(
 async def test_a_stop_of_a_paused_arm_ends_its_goal_as_soon_as_time_passes(
     client: FrameClient, caller: ArmClient
 ) -> None:
-    await on_its_way(client, "rest")
-    await caller.call("/simulation/pause", data=True)
+    await on_its_way(client, caller, "rest")
     await client.send({"op": "advertise", "topic": EVENTS, "type": "std_msgs/String"})
     await client.publish(EVENTS, {"data": "stop"})
     # The answer to a later message of this client shows that the stop has come.
@@ -83,8 +85,7 @@ async def test_a_stop_of_a_paused_arm_ends_its_goal_as_soon_as_time_passes(
 async def test_a_stop_of_a_paused_arm_is_answered_while_time_stands_still(
     client: FrameClient, caller: ArmClient
 ) -> None:
-    await on_its_way(client, "home")
-    await caller.call("/simulation/pause", data=True)
+    await on_its_way(client, caller, "home")
     before = await client.positions()
     assert await caller.call("/arm/stop") == {"success": True, "message": STANDS_STILL}
     assert await client.positions() == before

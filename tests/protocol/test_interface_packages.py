@@ -347,7 +347,14 @@ def test_any_quoted_texts_and_lists_of_floats_come_back_as_they_were(
     assert [field.default for field in declared(text).fields] == [texts[0], tuple(texts), tuple(numbers)]
 
 
-@given(st.text(max_size=60), st.sampled_from(["msg", "srv", "action"]), st.sampled_from(["ros1", "ros2"]))
+PIECE = r"""int32|string<=5|my_msgs/Thing|float64|data|a|1e39|---|<=4|-1\]|[\[\]= "'\\,#\n\r\t\0é]"""
+
+
+@given(
+    st.text(max_size=60) | st.from_regex(f"({PIECE}){{0,30}}", fullmatch=True),
+    st.sampled_from(["msg", "srv", "action"]),
+    st.sampled_from(["ros1", "ros2"]),
+)
 def test_any_text_is_read_or_refused_in_sentences(text: str, kind: Kind, generation: Generation) -> None:
     for each in map(str, read(text, kind, generation).problems):
         assert "\n" not in each

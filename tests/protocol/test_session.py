@@ -96,6 +96,7 @@ def test_a_frame_is_read_ahead_or_by_itself_only_where_nothing_before_it_matters
         assert Session().peek(frame) is None
     frame = '{"op":"unsubscribe","topic":"/a"}'
     limits = Limits.model_construct(max_message_bytes=len(frame))
+    assert Session().peek(frame) == Session().peek(frame.encode()) is not None
     assert Session(limits).reads_by_itself(frame)
     assert Session().reads_by_itself(frame)
     assert not Session(limits).reads_by_itself(frame + " ")
@@ -116,6 +117,13 @@ def test_a_client_is_answered_in_the_encoding_of_its_last_frame_also_of_one_that
             frames = [frame for encoded in session.data_to_send(1.0) for frame in encoded.frames]
             assert [decode(frame.data)["op"] for frame in frames] == ["x", "publish"]
             assert {frame.text for frame in frames} == {decode is json.loads}
+    # A compression that was asked for stays.
+    for compression in ("cbor", "png"):
+        of_json, of_bson = subscribed(compression=compression), subscribed(compression=compression)
+        read(of_bson, bson.encode(fields))
+        for session in (of_json, of_bson):
+            session.deliver(message("y"), 1.0)
+        assert of_bson.data_to_send(1.0)[0].frames == of_json.data_to_send(1.0)[0].frames
 
 
 def test_a_status_goes_with_its_id_to_a_client_that_asked_for_its_level_and_unasked_to_any():

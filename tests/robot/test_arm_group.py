@@ -1,4 +1,5 @@
 import asyncio
+import itertools
 from dataclasses import replace
 from typing import cast
 
@@ -19,6 +20,7 @@ from robot.messages import (
     Order,
     Outcome,
 )
+from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Trajectory
 from tests.helpers.fake_arm import FakeArm
 
@@ -75,21 +77,18 @@ async def pair() -> Pair:
     return Pair()
 
 
-def test_a_state_of_all_has_the_joints_of_all_and_the_slowest_clock() -> None:
-    state = joined_state({"left": reading(LEFT, 1.0), "right": reading(RIGHT, 2.0)})
+def test_a_state_of_all_has_the_joints_of_all_the_slowest_clock_and_the_stamp_of_the_latest_reading() -> None:
+    before, after = reading(LEFT, 1.0), reading(RIGHT, 2.0)
+    state = joined_state({"left": before, "right": after})
     assert state.joint_names == (*LEFT, *RIGHT)
     assert state.position_rad.tolist() == [1.0, 1.0, 2.0, 2.0]
-    assert state.clock_s == 1.0
-    assert state.stamp_s == 12.0
+    assert (state.clock_s, state.stamp_s) == (1.0, 12.0)
     assert state.age_s.tolist() == [1.0, 1.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
-def test_the_stamp_of_all_is_that_of_the_latest_reading_though_the_machines_clock_was_set(jump_s: float) -> None:
-    before, after = reading(LEFT, 1.0), replace(reading(RIGHT, 2.0), stamp_s=12.0 + jump_s)
+    # Also if the machine's clock was set.
     lost = replace(before, mode=Mode.DISCONNECTED, stamp_s=12.0, clock_s=3.0)
-    for left in (before, lost):
-        assert joined_state({"left": left, "right": after}).stamp_s == 12.0 + jump_s
+    for left, jump_s in itertools.product((before, lost), (3600.0, -3600.0, 6.3e8, -6.3e8)):
+        later = replace(after, stamp_s=12.0 + jump_s)
+        assert joined_state({"left": left, "right": later}).stamp_s == 12.0 + jump_s
 
 
 def test_the_mode_of_all_is_what_most_keeps_them_from_moving() -> None:
@@ -177,23 +176,21 @@ async def test_each_arm_plays_its_joints_of_a_motion_which_ends_with_the_last(pa
     assert (len(pair.left.played), len(pair.right.played)) == (2, 1)
 
 
-async def test_what_ends_the_motion_of_one_arm_early_stops_the_other_and_is_the_answer(pair: Pair) -> None:
-    ended = pair.both.execute(motion(*LEFT, *RIGHT))
-    pair.left.end(Outcome.FAULT, "stalled")
-    answer = await ended
-    assert answer.outcome is Outcome.FAULT
-    assert "left: stalled" in answer.message
-    assert len(pair.right.stops) == 1
-
-
-async def test_a_motion_of_both_is_stopped_in_both_and_a_stop_of_everything_reaches_every_arm(pair: Pair) -> None:
+async def test_a_motion_of_both_is_stopped_in_both_also_by_what_ends_it_early_in_one(pair: Pair) -> None:
     ended = pair.both.execute(motion(*LEFT, *RIGHT))
     pair.both.stop(ended)
     assert (await ended).outcome is Outcome.STOPPED
     assert len(pair.left.stops) == len(pair.right.stops) == 1
     assert None not in (*pair.left.stops, *pair.right.stops)
+    # A stop of everything reaches every arm.
     pair.both.stop()
     assert pair.left.stops[1:] == pair.right.stops[1:] == [None]
+    ended = pair.both.execute(motion(*LEFT, *RIGHT), epoch=STOP_EPOCHS.present)
+    pair.left.end(Outcome.FAULT, "stalled")
+    answer = await ended
+    assert answer.outcome is Outcome.FAULT
+    assert "left: stalled" in answer.message
+    assert len(pair.right.stops) == 3
 
 
 async def test_an_order_to_all_reaches_every_arm_but_no_leader_is_enabled_by_it_and_a_stream_moves_one_arm() -> None:

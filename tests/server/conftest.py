@@ -8,6 +8,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client, values_of
 from harness.server import ServerOnBus, server_on_bus
+from harness.waiting import TIMEOUT_S
 from robot import logs
 from robot.logs import OUR_LOGGER
 from tests.helpers.robots import nominal_calibration
@@ -33,7 +34,7 @@ async def client(served: ServerOnBus) -> AsyncIterator[ArmClient]:
     served.emulator.command(online=[1, 2, 3, 4, 5, 6], obstacle={str(servo): None for servo in range(1, 7)})
     async with arm_client(served.server.url) as connected:
         await connected.call("/arm/stop")
-        async with asyncio.timeout(10.0):
+        async with asyncio.timeout(TIMEOUT_S):
             while values_of((await connected.until("/arm/state", bool))[-1])["mode"] != "holding":
                 await connected.call("/arm/reset_fault")
                 await connected.call("/arm/enable")

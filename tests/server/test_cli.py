@@ -99,7 +99,7 @@ def test_a_network_that_does_not_end_changes_no_exit_code() -> None:
     assert (answer.returncode, answer.stdout, answer.stderr) == (3, "said", "")
 
 
-def test_the_version_names_the_program_and_the_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_version_is_told_and_heads_the_changelog(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "index.html").write_text('<head>\n<meta name="version" content="0.1.9">\n</head>')
     assert version_line(tmp_path) == f"armbridge {metadata.version('armbridge')}, page 0.1.9"
     (tmp_path / "index.html").write_text("<head></head>")
@@ -108,9 +108,6 @@ def test_the_version_names_the_program_and_the_page(tmp_path: Path, capsys: pyte
     with pytest.raises(SystemExit, match="0"):
         cli.main(["--version"])
     assert " ".join(capsys.readouterr().out.split()) == version_line(PAGE_DIRECTORY)
-
-
-def test_the_version_of_the_project_heads_the_changelog() -> None:
     (version,) = re.findall(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
     newest = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     assert newest is not None

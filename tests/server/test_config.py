@@ -98,12 +98,9 @@ REFUSED_ARMS: list[tuple[dict[str, dict[str, object]], str]] = [
 ]
 
 
-def test_several_arms_that_cannot_be_are_refused() -> None:
+def test_arms_that_cannot_be_together_are_refused(tmp_path) -> None:
     for arms, words in REFUSED_ARMS:
         assert words in refusal_of(**arms)
-
-
-def test_two_arms_cannot_share_a_port_and_have_no_section_of_the_single_one(tmp_path) -> None:
     port, alias = tmp_path / "ttyACM0", tmp_path / "by-id"
     port.touch()
     alias.symlink_to(port)

@@ -98,11 +98,18 @@ REFUSED = {
 }
 
 
-def test_a_wrong_setting_is_named_with_its_limit_and_value(file: Path) -> None:
+def test_every_wrong_setting_is_named_once_with_its_limit_and_value_and_no_token(file: Path) -> None:
     for text, words in REFUSED.items():
         file.write_text(text)
         with pytest.raises(ConfigurationError, match=words):
             load(file, {})
+    file.write_text('[server]\nport = -1\nmax_clients = 0\n[access]\ntoken = "abc"\n')
+    with pytest.raises(ConfigurationError) as refused:
+        load(file, {"server": {"port": 1}, "access": {"token": "x" * 32}})
+    told = str(refused.value)
+    assert told.count("server.port") == told.count("server.max_clients") == 1
+    assert "abc" not in told
+    assert "it is not shown, from the file" in told
 
 
 def test_the_source_of_each_setting_is_known(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,16 +139,6 @@ def test_a_wrong_value_is_refused_also_where_it_is_overridden(file: Path, monkey
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "many")
     with pytest.raises(ConfigurationError, match=r"server\.port: .*'many', from the environment"):
         load(None, {"server": {"port": 1}})
-
-
-def test_every_wrong_value_in_the_file_is_told_once_and_no_token(file: Path) -> None:
-    file.write_text('[server]\nport = -1\nmax_clients = 0\n[access]\ntoken = "abc"\n')
-    with pytest.raises(ConfigurationError) as refused:
-        load(file, {"server": {"port": 1}, "access": {"token": "x" * 32}})
-    told = str(refused.value)
-    assert told.count("server.port") == told.count("server.max_clients") == 1
-    assert "abc" not in told
-    assert "it is not shown, from the file" in told
 
 
 def test_the_command_line_may_put_right_what_the_file_leaves_contradictory(file: Path) -> None:

@@ -74,7 +74,7 @@ def test_topics_are_found_by_every_spelling_of_their_type(world: AskedWorld) -> 
     assert world.ask("topic_type", topic="/nowhere")["type"] == ""
 
 
-def test_services_are_listed_with_type_and_node(world: AskedWorld) -> None:
+def test_services_and_nodes_are_told_with_what_they_do(world: AskedWorld) -> None:
     assert {"/arm/stop", "/rosapi/services"} <= set(world.ask("services")["services"])
     assert world.ask("services_for_type", type="std_srvs/Trigger")["services"] == ["/arm/stop"]
     assert world.ask("service_providers", service="std_srvs/Trigger")["providers"] == ["/arm"]
@@ -82,9 +82,6 @@ def test_services_are_listed_with_type_and_node(world: AskedWorld) -> None:
         assert world.ask("service_type", service=service)["type"] == type_name
         assert world.ask("service_node", service=service)["node"] == node
         assert bool(world.ask("service_host", service=service)["host"]) is bool(node)
-
-
-def test_nodes_and_what_they_do_are_told(world: AskedWorld) -> None:
     client = "/client_127_0_0_1_53944"
     assert set(world.ask("nodes")["nodes"]) == {"/arm", client, "/rosapi"}
     details = {"subscribing": ["/joint_states"], "publishing": ["/chatter"], "services": []}
@@ -94,16 +91,13 @@ def test_nodes_and_what_they_do_are_told(world: AskedWorld) -> None:
     assert world.ask("subscribers", topic="joint_states")["subscribers"] == [client]
 
 
-def test_message_details_have_plain_field_names(world: AskedWorld) -> None:
+def test_types_of_messages_and_actions_are_told_with_every_part(world: AskedWorld) -> None:
     first = world.ask("message_details", type="sensor_msgs/JointState")
     main, *others = first["typedefs"]
     assert main["type"] == "sensor_msgs/JointState"
     assert main["fieldnames"] == ["header", "name", "position", "velocity", "effort"]
     assert main["fieldarraylen"] == [-1, 0, 0, 0, 0]
     assert {"std_msgs/Header", "builtin_interfaces/Time"} == {other["type"] for other in others}
-
-
-def test_the_type_of_an_action_and_every_part_of_it_are_told(world: AskedWorld) -> None:
     for part, field in {"goal": "command", "result": "reached_goal", "feedback": "stalled"}.items():
         for dialect in DIALECTS:
             details = world.ask(f"action_{part}_details", dialect, type="control_msgs/GripperCommand")
@@ -149,7 +143,7 @@ def test_details_of_a_type_that_nobody_knows_fail_with_its_name(world: AskedWorl
         assert (response.ok, "no/Such" in str(response.values)) == (False, True), part
 
 
-def test_raw_types_are_those_of_the_callers_generation(world: AskedWorld) -> None:
+def test_raw_types_are_those_of_the_callers_generation_and_empty_if_unknown(world: AskedWorld) -> None:
     world.graph.advertise(ARM, "/log", "rcl_interfaces/Log")
     answer = world.ask("topics_and_raw_types", "ros1")
     texts = dict(zip(answer["topics"], answer["typedefs_full_text"], strict=True))
@@ -162,9 +156,6 @@ def test_raw_types_are_those_of_the_callers_generation(world: AskedWorld) -> Non
     answer = world.ask("topics_and_raw_types")
     text = dict(zip(answer["topics"], answer["typedefs_full_text"], strict=True))["/joint_states"]
     assert all(each in text for each in ("float64[] position", "MSG: std_msgs/Header", "MSG: builtin_interfaces/Time"))
-
-
-def test_a_type_that_is_relayed_unknown_has_no_text(world: AskedWorld) -> None:
     world.graph.advertise(ARM, "/thing", "acme_msgs/Thing")
     for dialect, spelled in (("ros2", "acme_msgs/msg/Thing"), ("ros1", "acme_msgs/Thing")):
         answer = world.response("topics_and_raw_types", {}, dialect).values
@@ -258,19 +249,16 @@ def test_the_default_of_an_unknown_parameter_is_answered_as_json_and_one_that_is
     assert kept.ask("get_param_names") == {"names": []}
 
 
-def test_the_parameters_of_a_node_have_its_name_with_or_without_the_slash(kept: Kept) -> None:
+def test_parameters_have_the_name_of_their_node_and_those_of_the_server_are_there(kept: Kept) -> None:
     kept.ask("set_param", name="camera:rate", value="30")
     for name in ("camera:rate", "/camera:rate"):
         assert kept.ask("get_param", name=name, default_value="")["value"] == "30"
         assert kept.ask("has_param", name=name) == {"exists": True}
     assert kept.ask("get_param_names") == {"names": ["/camera:rate"]}
-
-
-def test_the_servers_own_parameters_are_there_for_clients(kept: Kept) -> None:
     kept.keep("/robot_description", '"<robot/>"')
     assert kept.ask("get_param", name="/robot_description", default_value="")["value"] == '"<robot/>"'
     kept.ask("delete_param", name="/robot_description")
-    assert kept.ask("get_param_names") == {"names": []}
+    assert kept.ask("get_param_names") == {"names": ["/camera:rate"]}
 
 
 def test_the_number_of_parameters_is_bounded(kept: Kept, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,6 +77,7 @@ class GeometryObject:
     parentFrame: int
     placement: SE3
     geometry: CollisionGeometry
+    meshPath: str
     def __init__(
         self,
         name: str,
@@ -101,6 +102,8 @@ class GeometryData:
     distanceRequests: Sequence[DistanceRequest]
     distanceResults: Sequence[DistanceResult]
     oMg: Sequence[SE3]
+    def activateCollisionPair(self, pair: int) -> None: ...
+    def deactivateCollisionPair(self, pair: int) -> None: ...
     def setSecurityMargins(
         self, geometry_model: GeometryModel, margins: _Vector, upper: bool, sync_distance_upper_bound: bool
     ) -> None: ...

@@ -105,6 +105,8 @@ class OpenPiPolicy:
         if actions.ndim != 2 or not len(actions) or actions.shape[1] != len(self._names):
             wanted = f"(n, {len(self._names)}), for {', '.join(self._names)}"
             raise PolicyError(f"{key}: must have the shape {wanted}, not {actions.shape}")
+        if actions.dtype.kind not in DTYPE_KINDS or not np.isfinite(actions).all():
+            raise PolicyError(f"{key}: must be finite numbers")
         return actions.astype(np.float64)
 
     def reset(self) -> None:
@@ -128,7 +130,8 @@ class OpenPiPolicy:
             raise PolicyError(f"the policy failed on its server: {data.strip().rpartition(chr(10))[2]}")
         try:
             message = unpack(data)
-        except (ValueError, TypeError, KeyError, msgpack.UnpackException) as error:
+        # numpy reads the type of an array as Python's text.
+        except (ValueError, TypeError, KeyError, SyntaxError, msgpack.UnpackException) as error:
             raise PolicyError(f"openpi.url: the answer of {self._options.url} cannot be read: {error}") from error
         if not isinstance(message, dict):
             raise PolicyError(f"openpi.url: {self._options.url} must answer with a map, not {type(message).__name__}")

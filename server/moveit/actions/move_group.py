@@ -68,7 +68,6 @@ class PlanningGoal:
 
 
 def move_group_result(answer: Answer, robot: RobotModel) -> Message:
-    """Write the result of moveit_msgs/MoveGroup."""
     performed = answer.performed
     return {
         "error_code": _explained_code(answer, robot),
@@ -80,7 +79,6 @@ def move_group_result(answer: Answer, robot: RobotModel) -> Message:
 
 
 def sequence_result(answer: Answer, robot: RobotModel) -> Message:
-    """Write the result of moveit_msgs/MoveGroupSequence."""
     performed = answer.performed
     response = {
         "error_code": _explained_code(answer, robot),
@@ -116,7 +114,11 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
             try:
                 planning_goal = read_planning_goal(requests(goal.request), goal.request["planning_options"])
                 if planning_goal.plan_only:
-                    _answer_with_plan(goal, planning_goal, context, result)
+                    goal.feedback({"state": PLANNING})
+                    work = plan_only(planning_goal, goal.sender, context)
+                    # The goal keeps the task alive, which the event loop does not.
+                    cancel = plan_without_moving(work, goal.action, lambda answer: _finish(goal, answer, result))
+                    cancel_with_goal(goal, cancel)
                 else:
                     motion = planned_motion(planning_goal, context)
                     for warning in motion.warnings:
@@ -159,15 +161,6 @@ def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message
     writing = asyncio.create_task(write(), name=f"result of {goal.action}")
     # Keeps the task alive, which the event loop does not, and ends it when nobody waits any more.
     goal.when_ended(lambda _result: writing.cancel())
-
-
-def _answer_with_plan(
-    goal: ActionGoal, planning_goal: PlanningGoal, context: PlanningContext, result: Callable[[Answer], Message]
-) -> None:
-    goal.feedback({"state": PLANNING})
-    work = plan_only(planning_goal, goal.sender, context)
-    # The goal keeps the task alive, which the event loop does not.
-    cancel_with_goal(goal, plan_without_moving(work, goal.action, lambda answer: _finish(goal, answer, result)))
 
 
 def read_planning_goal(requests: Sequence[Message], message: Message) -> PlanningGoal:

@@ -102,21 +102,18 @@ async def answers_in_time(
 ) -> list[IkAnswer | PlanningFailure]:
     """Answer all goals: each may take its share of the time left, and quick goals leave theirs to the later ones."""
     until_s = time.monotonic() + max(GOAL_TIME_S * len(problems), MIN_CALL_S)
-    answers = []
+    answers: list[IkAnswer | PlanningFailure] = []
     for done, problem in enumerate(problems):
         left_s = until_s - time.monotonic()
         share_s = max(left_s / (len(problems) - done) - WAY_S, MIN_CHECK_S)
-        answers.append(NOT_CHECKED if left_s < -WAITING_S else await _find(problem, share_s, pool, scene))
+        if left_s < -WAITING_S:
+            answers.append(NOT_CHECKED)
+        elif isinstance(problem, PlanningFailure):
+            answers.append(problem)
+        else:
+            question = IkQuestion(problem.group, problem.start_rad, problem.goal, allowed_time_s=share_s)
+            answers.append(await pool.ask(question, scene))
     return answers
-
-
-async def _find(
-    problem: PlanningProblem | PlanningFailure, allowed_s: float, pool: Planners, scene: Scene
-) -> IkAnswer | PlanningFailure:
-    if isinstance(problem, PlanningFailure):
-        return problem
-    question = IkQuestion(problem.group, problem.start_rad, problem.goal, allowed_time_s=allowed_s)
-    return await pool.ask(question, scene)
 
 
 def goal_check(

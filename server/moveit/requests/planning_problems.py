@@ -86,38 +86,32 @@ class BuiltProblem(Generic[AnyProblem]):
     warnings: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
 class ProblemBuilder:
     """Builder of planning problems for one robot, at the present speed limit: a share of the velocity limits."""
 
-    def __init__(
-        self,
-        robot: RobotModel,
-        frames: Frames,
-        parameters: PlannerParameters,
-        speed_limit: Callable[[Collection[str]], float] = lambda _joints: 1.0,
-    ) -> None:
-        self._robot = robot
-        self._frames = frames
-        self._parameters = parameters
-        self._speed_limit = speed_limit
+    robot: RobotModel
+    frames: Frames
+    parameters: PlannerParameters
+    speed_limit: Callable[[Collection[str]], float] = lambda _joints: 1.0
 
     def group(self, name: str) -> Group:
         """Return a planning group; the configured one for an empty name."""
-        return planning_group(self._robot, name, self._parameters.configured)
+        return planning_group(self.robot, name, self.parameters.configured)
 
     def context(self, group: Group, start_rad: Positions) -> RequestContext:
-        return RequestContext(self._robot, group, self._frames, start_rad, self._parameters.of(group.name))
+        return RequestContext(self.robot, group, self.frames, start_rad, self.parameters.of(group.name))
 
     def goal(
         self, group: Group, goal: AnyGoal, start_rad: Positions, parameters: MoveItParameters | None = None
     ) -> PlanningProblem:
         """Build the problem of a goal that comes with nothing else, by parameters of its own or the configured ones."""
-        parameters = parameters or self._parameters.configured
+        parameters = parameters or self.parameters.configured
         return PlanningProblem(
             group=group.name,
             start_rad=start_rad,
             goal=goal,
-            velocity_scaling=min(parameters.max_velocity_scaling, self._speed_limit(group.joints)),
+            velocity_scaling=min(parameters.max_velocity_scaling, self.speed_limit(group.joints)),
             acceleration_scaling=parameters.max_acceleration_scaling,
             allowed_time_s=parameters.allowed_planning_time,
             attempts=parameters.num_planning_attempts,
@@ -134,8 +128,8 @@ class ProblemBuilder:
         for corner in ("min_corner", "max_corner"):
             check_finite(request["workspace_parameters"][corner], f"workspace_parameters.{corner}")
         group = self.group(request["group_name"])
-        parameters = self._parameters.of(group.name, request["planner_id"])
-        context = RequestContext(self._robot, group, self._frames, start_rad, parameters)
+        parameters = self.parameters.of(group.name, request["planner_id"])
+        context = RequestContext(self.robot, group, self.frames, start_rad, parameters)
         warnings = context.warnings
         arc = request["path_constraints"]
         constraints = Constraints() if _names_arc(arc) else read_path_constraints(arc, context)
@@ -165,7 +159,7 @@ class ProblemBuilder:
         """Read a request's shares of the velocity limits, lowered to the arm's speed limit, and of the others."""
         field, parameters = "max_velocity_scaling_factor", context.parameters
         velocity = _scaling(request, field, parameters.max_velocity_scaling, context)
-        limit = self._speed_limit(context.group.joints)
+        limit = self.speed_limit(context.group.joints)
         if velocity > limit and request[field] > 0.0:
             context.warnings.append(f"{field} {velocity:g} is lowered to {limit:g}, the arm's speed limit")
         acceleration = _scaling(
@@ -179,7 +173,7 @@ class ProblemBuilder:
 
     def placed(self, goal: AnyGoal, frame: str, start_rad: Positions) -> AnyGoal:
         """Return a pose or position goal in a frame, which may move with the arm, as a goal in the root link."""
-        transform = self._frames.resolve(frame, start_rad)
+        transform = self.frames.resolve(frame, start_rad)
         match goal:
             case PoseGoal():
                 return replace(goal, pose=composed(transform, goal.pose))
@@ -216,7 +210,6 @@ class ProblemBuilder:
         return BuiltProblem(problem, tuple(context.warnings))
 
     def ik(self, request: Message, group: Group, seed_rad: Positions) -> BuiltProblem[IkQuestion]:
-        """Build the question of a moveit_msgs/PositionIKRequest."""
         context = self.context(group, seed_rad)
         constraints = read_path_constraints(request["constraints"], context, "ik_request.constraints")
         timeout_s = max(read_seconds(request["timeout"], "ik_request.timeout"), 0.0)

@@ -327,7 +327,6 @@ def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: Allow
 
 
 def apply_world(draft: SceneDraft, world: Message, where: str) -> None:
-    """Apply a moveit_msgs/PlanningSceneWorld."""
     if world["octomap"]["octomap"]["data"]:
         text = f"{where}.octomap must be empty: contacts with an octomap are not checked; give boxes or a mesh instead"
         raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, text, field=f"{where}.octomap")

@@ -7,16 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planners.errors import StoppedError
-from planners.geometry.certificate import (
-    CHECK_STEP_M,
-    EARLIEST_STEP_M,
-    FINEST_STEP_M,
-    Cubics,
-    certify,
-    encounter,
-    first_contact,
-    line_free,
-)
+from planners.geometry import certificate
 from planners.geometry.collision import CollisionModel
 from planners.pipeline import Planner
 from planners.problem import ConcurrencyQuestion, MoveItErrorCode
@@ -56,25 +47,22 @@ def tight(changing, space_in):
     return [p for p, q in states if changing.hull_only_pairs(q) and not changing.colliding_pairs(q)]
 
 
-def test_a_wall_thinner_than_the_way_between_samples_is_found(space_in, turn):
+def test_the_first_contact_is_found_with_its_time_also_with_a_wall_thinner_than_the_way_between_samples(space_in, turn):
     # The samples, 40 cm apart at the tip, are free.
     space, trajectory = space_in(scene(thing(Box((0.4, 0.001, 0.4)), 0.4, 0.0, 0.2))), turn(-1.2, -0.9, 0.9, 1.2)
     assert all(space.free(point) for point in trajectory.positions_rad)
-    contact = certify(space, trajectory)
+    contact = certificate.certify(space, trajectory)
     assert "thing" in {name for pair in contact.pairs for name in pair.links}
     assert 0.1 < contact.time_s < 0.2
-
-
-def test_contact_in_the_start_is_told_at_time_zero_and_the_first_of_several_with_its_time(space_in, turn):
     space = space_in(scene(thing(Box((0.1, 0.1, 0.1)), 0.3, 0.0, 0.2)))
-    assert certify(space, turn(0.0, 1.0)).time_s == certify(space, turn(0.0)).time_s == 0.0
-    assert certify(space, turn(1.2, 0.0)).time_s > 0.0
+    assert certificate.certify(space, turn(0.0, 1.0)).time_s == certificate.certify(space, turn(0.0)).time_s == 0.0
+    assert certificate.certify(space, turn(1.2, 0.0)).time_s > 0.0
     places = {"right": -0.8, "left": 0.8}
     walls = [thing(Box((0.02, 0.02, 0.4)), 0.3 * np.cos(a), 0.3 * np.sin(a), 0.2, name=n) for n, a in places.items()]
     space = space_in(scene(*walls))
     # The arm turns against its joint's sense.
     for pans, name in (((0.0, 1.7), "right"), ((0.0, -1.7), "left"), ((1.7, -1.7), "right"), ((-1.7, 1.7), "left")):
-        contact = certify(space, turn(*pans))
+        contact = certificate.certify(space, turn(*pans))
         assert name in {name for pair in contact.pairs for name in pair.links}
         assert contact.time_s < 0.07
 
@@ -84,7 +72,7 @@ def test_certified_motions_are_free_at_a_finer_step(space_in, arm, seed):
     rng, space = np.random.default_rng(seed), space_in(around_the_arm(seed))
     for _ in range(in_proportion(10)):
         trajectory = motion(arm.joints, rng.uniform(0.4 * space.lower_rad, 0.4 * space.upper_rad, (3, 5)))
-        verdict = certify(space, trajectory)
+        verdict = certificate.certify(space, trajectory)
         touching = [t for t in np.linspace(0.0, 0.2, 800) if not space.free(trajectory.sample(t)[0])]
         if verdict is None:
             assert not touching
@@ -98,12 +86,12 @@ def test_if_only_hulls_touch_the_parts_decide_unless_the_request_is_cancelled(sp
     for point in tight[:10]:
         fresh = space_in(scene(POST))
         assert not fresh.free(point)
-        assert certify(fresh, motion(arm.joints, [point])) is None
+        assert certificate.certify(fresh, motion(arm.joints, [point])) is None
         assert fresh.free(point)
     point, asked = tight[0], itertools.count()
     space = space_in(scene(POST), also_free=[np.append(point, 0.0)], should_stop=lambda: next(asked) == 2)
     with pytest.raises(StoppedError):
-        certify(space, motion(arm.joints, [point, point + 0.01, point]))
+        certificate.certify(space, motion(arm.joints, [point, point + 0.01, point]))
 
 
 class Discs:
@@ -134,7 +122,7 @@ class Discs:
 
 
 def line(start, end):
-    return Cubics.line(np.array(start), np.array(end))
+    return certificate.Cubics.line(np.array(start), np.array(end))
 
 
 def point_on(curve, at):
@@ -148,7 +136,7 @@ def wavy(seed, pieces=6):
     """Smooth cubic pieces through random points."""
     points, slopes = np.random.default_rng(seed).uniform(-1.0, 1.0, (2, pieces + 1, 2))
     start, end = points[:-1], points[1:]
-    return Cubics(np.stack((start, start + slopes[:-1] / 3.0, end - slopes[1:] / 3.0, end), axis=1))
+    return certificate.Cubics(np.stack((start, start + slopes[:-1] / 3.0, end - slopes[1:] / 3.0, end), axis=1))
 
 
 coordinates = st.floats(-1.0, 1.0)
@@ -164,10 +152,10 @@ def test_a_line_is_free_when_no_disc_is_on_it(start, end, obstacles):
     nearest = min((around.distance(point) for point in start + along * (end - start)), default=np.inf)
     if around.distance(start) <= 0.0:
         return
-    if line_free(around, start, end):
-        assert nearest > -CHECK_STEP_M
+    if certificate.line_free(around, start, end):
+        assert nearest > -certificate.CHECK_STEP_M
     else:
-        assert nearest < FINEST_STEP_M
+        assert nearest < certificate.FINEST_STEP_M
 
 
 @examples(50)
@@ -175,7 +163,7 @@ def test_a_line_is_free_when_no_disc_is_on_it(start, end, obstacles):
 def test_a_curve_is_free_when_no_disc_is_on_it(seed, obstacles):
     curve, around = wavy(seed), Discs(*obstacles)
     nearest = min(around.distance(point_on(curve, at)) for at in np.linspace(0.0, len(curve.coefficients), 2001))
-    at = first_contact(around, curve, FINEST_STEP_M)
+    at = certificate.first_contact(around, curve, certificate.FINEST_STEP_M)
     if at is None:
         assert nearest > -1e-3 or min(map(around.distance, curve.coefficients[[0, -1], [0, 3]])) <= 0.0
     else:
@@ -185,16 +173,16 @@ def test_a_curve_is_free_when_no_disc_is_on_it(seed, obstacles):
 def test_a_way_takes_as_many_checks_as_it_is_close_to_an_obstacle_and_ends_at_the_earliest_contact():
     far, close = Discs((0.0, 0.6, 0.1)), Discs((0.0, 0.6, 0.599))
     for around in (far, close):
-        assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M) is None
+        assert certificate.first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), certificate.FINEST_STEP_M) is None
     assert far.asked <= 12
     assert far.asked < close.asked < 100
     # A coarse step only glances, but the end is looked at all the same.
     around = Discs((0.123, 0.0, 0.0003))
-    assert first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), 0.1) is None
-    assert not line_free(Discs((1.0, 0.0, 0.0001)), np.array([0.0, 0.0]), np.array([1.0, 0.0]))
+    assert certificate.first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), 0.1) is None
+    assert not certificate.line_free(Discs((1.0, 0.0, 0.0001)), np.array([0.0, 0.0]), np.array([1.0, 0.0]))
     around = Discs((-0.5, 0.0, 0.05), (0.0, 0.0, 0.2), (0.7, 0.0, 0.1))
-    at = first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), FINEST_STEP_M)
-    assert -1.0 + 2.0 * at == pytest.approx(-0.55, abs=2.0 * EARLIEST_STEP_M)
+    at = certificate.first_contact(around, line((-1.0, 0.0), (1.0, 0.0)), certificate.FINEST_STEP_M)
+    assert -1.0 + 2.0 * at == pytest.approx(-0.55, abs=2.0 * certificate.EARLIEST_STEP_M)
 
 
 def test_no_joint_moves_further_between_two_places_than_the_bound_of_its_travel():
@@ -217,12 +205,12 @@ def leaning(side: str, from_rad: float, to_rad: float) -> Trajectory:
 
 def test_motions_that_use_the_same_place_touch_even_at_different_times_and_others_are_free_in_every_position() -> None:
     pair = CollisionModel(PAIR)
-    found = encounter(pair, leaning("left", 0.0, -1.5), leaning("right", 0.0, 1.5), ZERO)
+    found = certificate.encounter(pair, leaning("left", 0.0, -1.5), leaning("right", 0.0, 1.5), ZERO)
     sides = {frozenset((pair.first[:4], pair.second[:4])) for pair in found.pairs}
     assert frozenset(("left", "righ")) in sides
-    assert encounter(pair, leaning("left", 0.0, -1.5), leaning("right", 1.5, 0.0), ZERO) is not None
+    assert certificate.encounter(pair, leaning("left", 0.0, -1.5), leaning("right", 1.5, 0.0), ZERO) is not None
     left, right = leaning("left", 0.0, -0.55), leaning("right", 0.0, 0.55)
-    assert encounter(pair, left, right, ZERO) is None
+    assert certificate.encounter(pair, left, right, ZERO) is None
     for first_s, second_s in itertools.product(np.linspace(0.0, 2.0, 9), repeat=2):
         at = dict(zip(left.joint_names, left.sample(first_s)[0], strict=True))
         at |= dict(zip(right.joint_names, right.sample(second_s)[0], strict=True))
@@ -231,7 +219,7 @@ def test_motions_that_use_the_same_place_touch_even_at_different_times_and_other
     robot = model.parse(LIFTED_URDF, LIFTED_SRDF)
     others = {joint.name: 0.0 for joint in robot.movable_joints}
     fingers = smooth_move({"left_finger_joint": (0.0, 0.05), "right_finger_joint": (0.0, 0.05)}, 1.0)
-    assert encounter(CollisionModel(robot), smooth_move({"a2": (0.0, 0.8)}, 1.0), fingers, others) is None
+    assert certificate.encounter(CollisionModel(robot), smooth_move({"a2": (0.0, 0.8)}, 1.0), fingers, others) is None
 
 
 def test_the_answer_names_what_touches_and_motions_of_one_joint_are_no_question() -> None:

@@ -1,5 +1,7 @@
 """Shapes, and collisions between them."""
 
+import math
+import struct
 from dataclasses import replace
 
 import coal
@@ -160,6 +162,9 @@ def test_contacts_by_parts_are_contacts_by_hulls_and_overlaps_those_of_the_parts
     verdicts = set()
     for q in np.random.default_rng(4).uniform(changing.lower_rad, changing.upper_rad, (150, 6)):
         verdicts.add((bool(changing.colliding_pairs(q)), changing.in_collision(q)))
+        for refined in (changing.hull_only_pairs(q), {frozenset(("base_link", "gripper_link"))}):
+            by_parts = changing.in_collision(q, frozenset(changing.pairs_of(refined)))
+            assert by_parts == bool(changing.colliding_pairs(q, refined))
     assert (True, False) not in verdicts
     assert (False, True) in verdicts
     changing.set_scene(scene(thing(Box((0.1, 0.1, 0.1)), 0.38, 0.0, 0.16)))
@@ -227,6 +232,9 @@ def test_meshes_beside_the_urdf_are_replaced_by_hulls_and_one_gone_or_unreadable
         shapes_of(robot)
     with pytest.raises(ShapeError, match=r": cannot be loaded: Could not load resource \S+/boom\.stl [^\n]+$"):
         shapes_of(crane(tmp_path, bytes(200)))
+    numbers = struct.pack("<12fH", *[math.nan] * 12, 0)
+    with pytest.raises(ShapeError, match=r"a vertex of \S+/boom\.stl is no finite number$"):
+        shapes_of(crane(tmp_path, bytes(80) + struct.pack("<I", 1) + numbers))
     # So is a robot without any shape.
     bare = model.parse(kinematic_urdf(model.parse(CRANE_URDF, CRANE_SRDF)), CRANE_SRDF)
     with pytest.raises(ShapeError, match="no link has a collision shape"):

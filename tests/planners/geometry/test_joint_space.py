@@ -82,9 +82,9 @@ class Arm:
             yield q, np.clip(q + dq, lower, upper) - q
 
 
-@pytest.fixture(params=[so101, lambda: CRANE], ids=["so101", "crane"])
+@pytest.fixture(params=[so101(), CRANE], ids=["so101", "crane"])
 def placed_arm(request):
-    return Arm(request.param())
+    return Arm(request.param)
 
 
 def test_no_point_of_a_shape_and_no_frame_moves_further_than_the_bound_or_is_further_from_the_root(placed_arm):
@@ -120,19 +120,6 @@ def test_lines_through_the_arm_are_blocked_from_either_side(joint_space):
     for start, end in BLOCKED_LINES:
         assert not line_free(joint_space, np.array(start), np.array(end))
         assert not line_free(joint_space, np.array(end), np.array(start))
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_nothing_touches_within_a_range_that_is_free(space_in, seed):
-    space, rng, free = space_in(around_the_arm(seed)), np.random.default_rng(seed), 0
-    for _ in range(100):
-        point, joint_travel = rng.uniform(0.5 * space.lower_rad, 0.5 * space.upper_rad), rng.uniform(0.0, 0.1, 5)
-        if not space.near(point, space.approach_m_per_rad @ joint_travel):
-            free += 1
-            corners = point + joint_travel * rng.choice([-1.0, 1.0], (20, 5))
-            inside = point + joint_travel * rng.uniform(-1.0, 1.0, (20, 5))
-            assert all(space.free(other) for other in (*corners, *inside))
-    assert free > 5
 
 
 def test_a_pair_has_the_same_clearance_looked_at_alone_and_keeps_what_the_joints_cannot_use_up(space_in):
@@ -200,7 +187,7 @@ def test_an_allowed_contact_does_not_come_again_further_on(changing, arm):
     overlaps_m = changing.overlaps_m(q)
     assert overlaps_m
     assert overlaps_m == pytest.approx(changing.overlaps_m(there), abs=1e-4)
-    assert not changing.in_collision(there, overlaps_m)
+    assert not changing.in_collision(there, frozenset(changing.pairs_of(overlaps_m)), overlaps_m)
     space = JointSpace(changing, arm.joints, q, overlaps_m)
     assert space.free(HOME)
     assert not space.free(TURNED)

@@ -1,17 +1,11 @@
 """Bodies smaller than a link is thick, inside its material and just outside of it."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pinocchio as pin
 import pytest
 
-from harness.full_meshes import Judge
 from harness.meshes import ball
 from planners.errors import ShapeError
-from planners.files import plan_command, problem_file
-from planners.files.plan_command import Options
 from planners.geometry import surfaces
 from planners.geometry.certificate import certify, line_free
 from planners.geometry.joint_space import JointSpace
@@ -66,6 +60,14 @@ def test_a_sphere_in_the_material_of_a_link_is_in_contact_however_small_it_is(ch
             assert changing.collides(HOME), place.act(point_m)
 
 
+@pytest.mark.parametrize("shape", [Cylinder(0.001, 0.001), Mesh(*ball(0.001, 8))], ids=["Cylinder", "Mesh"])
+def test_a_small_body_of_any_shape_inside_a_link_is_in_contact_with_it(changing, links, shape) -> None:
+    random = np.random.default_rng(2)
+    for name, (surface, place) in links.items():
+        changing.set_scene(scene(thing(shape, *place_in_the_material(surface, place, random))))
+        assert {"thing", name} in [pair.links for pair in changing.colliding_pairs(HOME)]
+
+
 @pytest.mark.parametrize("radius_m", RADII_M)
 def test_a_sphere_outside_of_every_link_is_free(changing, links, radius_m) -> None:
     random, found = np.random.default_rng(round(1e6 * radius_m)), 0
@@ -90,16 +92,8 @@ def place_in_the_material(surface: surfaces.TriangleSurface, place, random: np.r
     while True:
         point_m = drawn(surface, random)
         clear_m = np.linalg.norm(surface._vertices_m - point_m, axis=1).min()
-        if clear_m > 0.002 and surface.encloses(point_m[np.newaxis]):
+        if clear_m > 0.002 and surface.encloses(point_m.reshape(1, 1, 3)):
             return place.act(point_m).tolist()
-
-
-@pytest.mark.parametrize("shape", [Cylinder(0.001, 0.001), Mesh(*ball(0.001, 8))], ids=["Cylinder", "Mesh"])
-def test_a_small_body_of_any_shape_inside_a_link_is_in_contact_with_it(changing, links, shape) -> None:
-    random = np.random.default_rng(2)
-    for name, (surface, place) in links.items():
-        changing.set_scene(scene(thing(shape, *place_in_the_material(surface, place, random))))
-        assert {"thing", name} in [pair.links for pair in changing.colliding_pairs(HOME)]
 
 
 def test_a_small_body_inside_a_link_touches_it_attached_and_along_a_motion(robot, arm, changing, links) -> None:
@@ -130,19 +124,21 @@ def test_a_winding_number_is_one_inside_of_a_ball_and_none_outside() -> None:
             point_m = middle_m + distance_m * direction / np.linalg.norm(direction)
             assert abs(surface.winding_number(point_m)) == pytest.approx(expected, abs=0.05)
     beside_m, inside_m = middle_m + np.array([0.06, 0.0, 0.0]), middle_m + np.array([0.01, 0.0, 0.0])
-    assert not surface.encloses(beside_m[np.newaxis])
-    assert surface.encloses(np.vstack([beside_m, inside_m]))
+    assert not surface.encloses(np.array([[beside_m]]))
+    assert surface.encloses(np.array([[beside_m], [inside_m]]))
+    assert not surface.encloses(np.array([[inside_m, beside_m]])), "a body that sticks out"
     mirrored = surfaces.TriangleSurface(surface._vertices_m, surface._triangles[:, ::-1])
-    assert mirrored.encloses(inside_m[np.newaxis])
+    assert mirrored.encloses(np.array([[inside_m]]))
 
 
-def test_each_connected_body_of_a_surface_has_one_point_and_packing_drops_what_is_twice_or_has_no_extent() -> None:
+def test_each_body_of_a_surface_has_its_outermost_points_and_packing_drops_what_is_twice_or_flat() -> None:
     vertices_m, triangles = ball(0.05, 12)
     two_m = np.vstack([vertices_m, vertices_m + np.array([0.2, 0.0, 0.0])])
     both = np.vstack([triangles, triangles + len(vertices_m)]).astype(np.int32)
     surface = surfaces.TriangleSurface(two_m, both)
-    assert len(surface.points_m) == 2
-    assert np.ptp(surface.points_m[:, 0]) > 0.1
+    assert surface.points_m.shape == (2, 6, 3)
+    assert (np.ptp(surface.points_m, axis=1) > 0.09).all(), "outermost points of one body each"
+    assert np.ptp(surface.points_m[:, 0, 0]) > 0.1
     vertices = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 1e-7, 0.0]])
     _, triangles = surfaces.packed(vertices, np.array([[0, 1, 2], [2, 0, 1], [0, 3, 2], [0, 1, 3]]))
     assert len(triangles) == 1
@@ -166,20 +162,3 @@ def test_a_file_that_is_none_of_surfaces_is_named(tmp_path, robot) -> None:
             list(surfaces.load_surfaces({"boom": LinkSurface(path, "boom")}, pin_model))
         assert problem in str(error.value)
         assert str(path) in str(error.value)
-
-
-# One in so many problems of the file; the benchmark takes all of them.
-SHARE = 16
-NEAR_CONTACTS = Path(__file__).parents[3] / "benchmarks" / "scenes" / "near_contacts.json"
-
-
-def test_goals_next_to_things_are_free_by_the_parts_or_refused_as_the_meshes_say(robot, shared_data) -> None:
-    file, fields = problem_file.read(NEAR_CONTACTS, robot), json.loads(NEAR_CONTACTS.read_text())
-    entries = {one["id"]: one for key in ("joint_problems", "infeasible") for one in fields[key][::SHARE]}
-    chosen = plan_command.chosen(file, Options([NEAR_CONTACTS], ids=tuple(entries)))
-    outcomes = list(plan_command.plan_all(file, chosen))
-    assert not {outcome.file_problem.id: outcome.code.name for outcome in outcomes if not outcome.expected}
-    judge = Judge(shared_data, fields)
-    for answer in [plan_command.as_json(outcome, file.joint_names) for outcome in outcomes]:
-        if "positions" in answer:
-            assert not judge.faults(entries[answer["problem"]], answer)

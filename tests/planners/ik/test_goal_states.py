@@ -72,19 +72,15 @@ def test_the_pose_of_a_free_state_is_reached_by_free_solutions(
         assert kind != "position" or times_s == sorted(times_s)
 
 
-def test_nearest_orientation_is_as_near_as_sampling_finds_it(goal_states, collision, search):
+def test_the_nearest_orientation_or_point_is_free_and_as_near_as_sampling_finds_it(goal_states, collision, search):
+    states = np.random.default_rng(8).uniform(collision.lower_rad, collision.upper_rad, (30_000, 6))
+    positions_m = goal_states.forward.placements(states, TIP).positions_m
     target_m = np.array([0.25, 0.1, 0.15])
     goal = PoseGoal(TIP, Pose(tuple(target_m), (0.5, 0.5, 0.5, 0.5)), 0.001, (0.02, 0.02, 0.02))
     preferred = ConditionSet(goal_states.forward, goal_conditions(goal, collision).preferred)
-    states = np.random.default_rng(7).uniform(collision.lower_rad, collision.upper_rad, (30_000, 6))
-    near = np.linalg.norm(goal_states.forward.placements(states, TIP).positions_m - target_m, axis=1) < 0.02
+    near = np.linalg.norm(positions_m - target_m, axis=1) < 0.02
     sampled = min(preferred.deviation(q).orientation_rad for q in states[near] if not collision.in_collision(q))
     assert preferred.deviation(search(goal).solutions[0]).orientation_rad <= sampled + 0.1
-
-
-def test_point_out_of_reach_has_a_nearest_configuration_that_is_free_and_nearly_best(goal_states, collision, search):
-    states = np.random.default_rng(8).uniform(collision.lower_rad, collision.upper_rad, (20_000, 6))
-    positions_m = goal_states.forward.placements(states, TIP).positions_m
     for target_m in ((0.1, 0.0, 0.15), (0.6, 0.2, 0.3), (0.0, 0.7, 0.1)):
         found = search(Point(TIP, target_m, 0.001))
         order = np.argsort(np.linalg.norm(positions_m - target_m, axis=1))
@@ -149,15 +145,12 @@ def test_states_found_for_a_constraint_goal_meet_it_and_contradictions_are_refus
     assert len(failure.details["violations"]) == 2
 
 
-def test_goal_outside_the_path_constraints_violates_them(find):
+def test_goal_outside_the_path_constraints_violates_them_and_an_object_in_it_is_named(find, robot, changing, arm):
     left = Constraints(positions=(Region(TIP, Pose((0.3, 0.5, 0.2)), half_size_m=(0.5, 0.5, 0.5)),))
     for goal in (Point(TIP, (0.25, -0.2, 0.2), 0.01), JointGoal({"shoulder_pan": 0.8})):
         failure = find(goal, constraints=left)
         assert failure.code is Code.GOAL_VIOLATES_PATH_CONSTRAINTS
         assert TIP in failure.message
-
-
-def test_object_in_the_goal_is_named(robot, changing, arm):
     states, wanted_m = GoalStates(robot, changing), (0.25, 0.1, 0.15)
     assert changing.set_scene(scene(thing(Box((0.08, 0.08, 0.08)), *wanted_m, name="mug"))) is None
     failure = states.find(Point(TIP, wanted_m, 0.001), query(arm))

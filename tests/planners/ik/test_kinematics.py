@@ -84,7 +84,9 @@ def test_a_pose_of_a_configuration_holds_there_and_not_elsewhere(forward, collis
     assert ConditionSet(forward, goal_conditions(goal, collision).required).holds(HOME)
 
 
-def test_free_axes_of_an_orientation_are_not_aimed_at(collision):
+def test_free_axes_of_an_orientation_are_not_aimed_at_and_a_joint_range_ends_at_the_joints_limits(
+    condition_set, collision
+):
     for tolerance_rad, kinds in (
         ((0.1, 0.1, 0.1), [TurnCondition]),
         ((0.1, 0.1, 3.15), [AxisCondition]),
@@ -94,14 +96,12 @@ def test_free_axes_of_an_orientation_are_not_aimed_at(collision):
         orientation = OrientationConstraint(TIP, (0.0, 0.0, 0.0, 1.0), tolerance_rad)
         found = conditions(Constraints(orientations=(orientation,)), collision)
         assert [type(condition) for condition in found] == kinds, tolerance_rad
-
-
-def test_joint_range_ends_at_the_joints_limits_and_a_weight_that_nobody_set_counts_as_one(condition_set, collision):
     column = collision.joint_names.index("elbow_flex")
     upper = collision.upper_rad[column]
     wanted = condition_set(joints=(JointConstraint("elbow_flex", upper, 0.5, 0.1),))
     assert wanted.holds(upper * np.eye(6)[column])
     assert not wanted.holds((upper + 0.01) * np.eye(6)[column])
+    # A weight that nobody set counts as one.
     constraint = JointConstraint("elbow_flex", 0.0, 0.1, 0.1, weight=0.0)
     assert conditions(Constraints(joints=(constraint,)), collision)[0].weight == 1.0
 

@@ -37,11 +37,16 @@ def test_samples_are_ten_milliseconds_apart_at_most_and_repeat_the_curve_whose_p
     np.testing.assert_array_equal(curve.replaced(100, curve.duration_ticks, moved).positions_rad[-1], ZIGZAG[-1])
 
 
-def test_turning_points_between_knots_count_for_the_range():
+def test_turning_points_between_knots_count_for_the_range_and_a_joint_that_would_overshoot_takes_no_time_between():
     # Thrown up at 1 rad/s and braked at 2 rad/s^2 it turns 0.25 rad higher, where no knot is.
     thrown = Curve(np.array([0, 10000]), np.zeros((2, 1)), np.array([[1.0], [-1.0]]))
     for lower, upper, within in ((-0.01, 0.2501, True), (-0.01, 0.2499, False), (0.01, 1.0, False)):
         assert thrown.stays_within(np.array([lower]), np.array([upper])) == within
+    # Moving at 1 rad/s it is there at once or, turning back twice, much later.
+    p0, p1, v = np.zeros(1), np.array([0.1]), np.array([1.0])
+    limits = RateLimits(np.array([3.0]), np.array([1.0]))
+    possible = [bool(way_of(p0, v, p1, v, np.array(ticks), limits).possible.all()) for ticks in (1000, 4000, 60000)]
+    assert possible == [True, False, True]
 
 
 START, GOAL = np.array([0.1, -0.3]), np.array([1.0, 0.5])
@@ -81,12 +86,22 @@ velocities = st.tuples(*[st.floats(-0.99, 0.99)] * 3).map(lambda share: np.array
 
 @given(st.lists(points, min_size=1, max_size=6).map(np.array))
 @examples(60)
-def test_every_polyline_is_timed_from_rest_to_rest_within_the_limits(corners):
-    trajectory = polyline(corners, ABC_LIMITS).sampled(ABC)
+def test_every_polyline_is_timed_from_rest_to_rest_within_the_limits_and_repeated_points_change_nothing(corners):
+    curve = polyline(corners, ABC_LIMITS)
+    trajectory = curve.sampled(ABC)
     assert_well_formed(trajectory)
     if not same_point(corners[0], corners[-1]):
         assert_from_rest_to_rest(trajectory, corners[0], corners[-1])
     assert_keeps_rates(trajectory, ABC_LIMITS)
+    repeated = polyline(np.repeat(corners, 3, axis=0), ABC_LIMITS)
+    np.testing.assert_array_equal(repeated.positions_rad, curve.positions_rad)
+    np.testing.assert_array_equal(repeated.ticks, curve.ticks)
+    # A polyline stops in every corner, and waits there.
+    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.0, -1.0, 1.0]])
+    stopping, waiting = (polyline(corners, ABC_LIMITS, wait) for wait in (0, 300))
+    assert waiting.duration_ticks == stopping.duration_ticks + 300
+    at_corner = np.flatnonzero(np.all(waiting.positions_rad == corners[1], axis=1))
+    np.testing.assert_array_equal(waiting.velocities_rad_s[at_corner], np.zeros((2, 3)))
 
 
 @given(points)
@@ -101,17 +116,6 @@ def test_a_line_takes_the_least_time_of_its_tightest_joint_and_a_tiny_one_ends_e
         assert_well_formed(trajectory)
         assert_from_rest_to_rest(trajectory, goal, end)
         assert 0.0 < trajectory.duration_s < 0.05, distance_rad
-
-
-def test_a_polyline_stops_in_every_corner_and_waits_there_and_repeated_points_change_nothing():
-    corners = np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.0], [1.0, -1.0, 1.0]])
-    stopping, waiting = (polyline(corners, ABC_LIMITS, wait) for wait in (0, 300))
-    assert waiting.duration_ticks == stopping.duration_ticks + 300
-    at_corner = np.flatnonzero(np.all(waiting.positions_rad == corners[1], axis=1))
-    np.testing.assert_array_equal(waiting.velocities_rad_s[at_corner], np.zeros((2, 3)))
-    repeated = polyline(np.repeat(corners, 3, axis=0), ABC_LIMITS)
-    np.testing.assert_array_equal(repeated.positions_rad, stopping.positions_rad)
-    np.testing.assert_array_equal(repeated.ticks, stopping.ticks)
 
 
 @given(points, velocities, points)
@@ -148,11 +152,3 @@ def test_ramps_join_two_states_within_the_limits(p0, v0, p1, v1):
     assert np.all(np.abs(velocities) <= ABC_LIMITS.velocity_rad_s * (1.0 + 1e-6))
     way_rad = 0.5 * (velocities[1:] + velocities[:-1]) * steps_s
     np.testing.assert_allclose(np.diff(curve.positions_rad, axis=0), way_rad, atol=1e-9)
-
-
-def test_a_joint_that_would_overshoot_cannot_take_a_time_between():
-    # Moving at 1 rad/s it is there at once or, turning back twice, much later.
-    p0, p1, v = np.zeros(1), np.array([0.1]), np.array([1.0])
-    limits = RateLimits(np.array([3.0]), np.array([1.0]))
-    possible = [bool(way_of(p0, v, p1, v, np.array(ticks), limits).possible.all()) for ticks in (1000, 4000, 60000)]
-    assert possible == [True, False, True]

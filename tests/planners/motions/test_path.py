@@ -26,19 +26,11 @@ from planners.problem import PLANNER_IDS, RateLimits
 from robot.trajectory import Trajectory
 from tests.helpers.programs import run
 from tests.helpers.resources import examples
-from tests.planners.invariants import (
-    BLOCKED_LINES,
-    assert_from_rest_to_rest,
-    assert_keeps_rates,
-    assert_well_formed,
-    fine_samples,
-    least_time_of_line_s,
-    never,
-)
+from tests.planners import invariants
 
 HOME = np.zeros(5)
 READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
-BLOCKED = np.array(BLOCKED_LINES)
+BLOCKED = np.array(invariants.BLOCKED_LINES)
 STEP_M = 0.005
 
 
@@ -48,7 +40,7 @@ def after(space, checks):
     return lambda: space.checks >= most
 
 
-def connect(query, seed=0, should_stop=never, project=None):
+def connect(query, seed=0, should_stop=invariants.never, project=None):
     return ConnectSearch(query, project, seed).run(should_stop)
 
 
@@ -180,7 +172,7 @@ def test_a_narrow_gap_takes_fewer_checks_where_blocked_points_only_go_to_points_
     assert checks(paths.DOMAIN_EDGES) < 0.7 * checks(np.inf)
 
 
-def way(space, should_stop=never):
+def way(space, should_stop=invariants.never):
     asked = Query(space, WEST, [EAST], WALL_STEP_M)
     return via_point(asked, np.array([1.0, 1.0]), np.random.default_rng(0), should_stop)
 
@@ -211,7 +203,7 @@ def test_a_motion_is_slowed_down_until_it_keeps_its_limits_between_samples(veloc
     motion = Trajectory(("a",), np.array([0.0, 0.1, 0.2]), positions, np.zeros((3, 1)), np.zeros((3, 1)))
     limits = RateLimits(np.array([velocity]), np.array([acceleration]))
     slowed = within_limits(motion, limits)
-    assert_keeps_rates(slowed, limits)
+    invariants.assert_keeps_rates(slowed, limits)
     assert slowed.duration_s >= motion.duration_s
 
 
@@ -238,13 +230,13 @@ def test_every_curve_is_timed_and_followed_from_rest_to_rest_within_the_limits_a
     path = spline(points)
     motion = time_along(path, NAMES, TIMING_LIMITS)
     assert motion is not None
-    assert_well_formed(motion)
-    assert_from_rest_to_rest(motion, points[0], points[-1])
-    assert_keeps_rates(motion, TIMING_LIMITS)
+    invariants.assert_well_formed(motion)
+    invariants.assert_from_rest_to_rest(motion, points[0], points[-1])
+    invariants.assert_keeps_rates(motion, TIMING_LIMITS)
     profile = toppra_profile(path, TIMING_LIMITS, np.full(len(path.grid), top_rate))
     assert profile.rate.max() <= top_rate * (1.0 + 1e-6)
     along = path(np.linspace(0.0, path.knots[-1], 1000))
-    positions, _, _ = fine_samples(motion, per_interval=3)
+    positions, _, _ = invariants.fine_samples(motion, per_interval=3)
     off = [np.min(np.linalg.norm(along - position, axis=1)) for position in positions[::25]]
     spacing = np.linalg.norm(np.diff(along, axis=0), axis=1).max()
     assert max(off) < 0.5 * spacing + 1e-4
@@ -254,20 +246,17 @@ def test_every_curve_is_timed_and_followed_from_rest_to_rest_within_the_limits_a
 
 
 @given(st.tuples(*[coordinates] * 3).map(np.array).filter(lambda goal: np.abs(goal).max() > 0.01))
-def test_a_straight_line_takes_the_least_time_there_is(goal):
+def test_a_straight_line_takes_the_least_time_and_a_stretch_where_no_joint_moves_hardly_any(goal):
     motion = time_along(spline(straight(*goal)), NAMES, TIMING_LIMITS)
-    bound_s = least_time_of_line_s(goal, TIMING_LIMITS)
+    bound_s = invariants.least_time_of_line_s(goal, TIMING_LIMITS)
     assert bound_s - 1e-9 <= motion.duration_s <= 1.03 * bound_s
-
-
-@pytest.mark.parametrize("points", [4, 16, 64])
-def test_a_stretch_where_no_joint_moves_hardly_takes_time(points):
     moving = straight(1.0, 0.5, 0.0, points=16)
-    path = NaturalSpline(np.arange(16.0 + points), np.vstack((moving, np.tile(moving[-1], (points, 1)))))
     alone_s = time_along(NaturalSpline(np.arange(16.0), moving), NAMES, TIMING_LIMITS).duration_s
-    motion = time_along(path, NAMES, TIMING_LIMITS)
-    assert_keeps_rates(motion, TIMING_LIMITS)
-    assert motion.duration_s < 1.5 * alone_s
+    for points in (4, 16, 64):
+        path = NaturalSpline(np.arange(16.0 + points), np.vstack((moving, np.tile(moving[-1], (points, 1)))))
+        motion = time_along(path, NAMES, TIMING_LIMITS)
+        invariants.assert_keeps_rates(motion, TIMING_LIMITS)
+        assert motion.duration_s < 1.5 * alone_s
 
 
 OUT = np.cumsum(0.03 ** np.arange(7))[:, np.newaxis] * np.array([1.0, 0.5, -0.2])

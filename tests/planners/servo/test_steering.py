@@ -43,13 +43,17 @@ def test_a_twist_moves_the_tip_in_its_direction_at_its_speed_before_it_turns_and
     assert "given up" in answer.message
 
 
-def test_nothing_drifts_that_nobody_moves(arm):
+def test_nothing_drifts_that_nobody_moves_and_a_target_is_reached_and_held(arm):
     start = arm.tip_m
     arm.steer(lambda at_s: TipTwist((0.0, 0.1 * np.cos(3 * at_s), 0.1 * np.sin(3 * at_s))), 2.5)
     assert np.abs(np.array(arm.tips_m)[:, 0] - start[0]).max() < 0.0015
     # When commands cease the arm comes to rest.
     arm.steer(TipTwist(), 1.0)
     assert arm.tip_m[0] == pytest.approx(start[0], abs=0.0005)
+    assert np.linalg.norm(speeds(arm)[-1]) < 0.002
+    target = Pose(tuple(arm.tip_m + np.array([0.0, 0.05, -0.05])))
+    arm.steer(TipTarget(target), 2.0)
+    assert arm.tip_m == pytest.approx(target.position_m, abs=0.001)
     assert np.linalg.norm(speeds(arm)[-1]) < 0.002
 
 
@@ -63,13 +67,18 @@ def test_a_turn_that_five_joints_can_do_is_done_about_the_tip(arm):
     assert "given up" not in answer.message
 
 
-def test_towards_the_end_of_its_reach_the_arm_halts_and_then_comes_back(arm):
+def test_towards_the_end_of_its_reach_the_arm_halts_and_comes_back_and_too_fast_a_twist_is_slowed(arm, robot):
     halted = arm.steer(TipTwist((0.2, 0.0, 0.0)), 1.6)
     assert halted.status in (Status.HALT_FOR_SINGULARITY, Status.DECELERATE_FOR_APPROACHING_SINGULARITY)
     assert abs(speeds(arm)[-1][0]) < 0.04
     farthest = arm.tip_m[0]
     arm.steer(TipTwist((-0.2, 0.0, 0.0)), 1.0)
     assert arm.tip_m[0] < farthest - 0.03
+    # By as much as the joints can do.
+    answer = arm.steer(TipTwist((0.0, 0.0, 2.0)), 0.5)
+    assert answer.share < 0.5
+    for name, velocity in answer.velocity_rad_s.items():
+        assert abs(velocity) <= robot.joints[name].max_velocity + 1e-9
 
 
 def test_towards_a_table_the_arm_slows_down_keeps_its_distance_moves_along_it_and_gets_away(planner, robot, put):
@@ -98,20 +107,6 @@ def test_a_joint_at_its_limit_is_told_the_others_go_on_and_those_that_are_not_na
     assert answer.velocity_rad_s["shoulder_pan"] == pytest.approx(0.3, rel=1e-4)
     assert arm.positions_rad["wrist_roll"] <= robot.joints["wrist_roll"].upper + 1e-6
     assert np.abs(arm.joints_rad[-1] - arm.joints_rad[0])[1:4].max() == 0.0
-
-
-def test_too_fast_a_twist_keeps_its_direction_at_what_the_joints_can_do(arm, robot):
-    answer = arm.steer(TipTwist((0.0, 0.0, 2.0)), 0.5)
-    assert answer.share < 0.5
-    for name, velocity in answer.velocity_rad_s.items():
-        assert abs(velocity) <= robot.joints[name].max_velocity + 1e-9
-
-
-def test_a_target_is_reached_and_held(arm):
-    target = Pose(tuple(arm.tip_m + np.array([0.0, 0.05, -0.05])))
-    arm.steer(TipTarget(target), 2.0)
-    assert arm.tip_m == pytest.approx(target.position_m, abs=0.001)
-    assert np.linalg.norm(speeds(arm)[-1]) < 0.002
 
 
 def question(at_home, command, **changes):

@@ -66,18 +66,19 @@ def test_what_the_check_finds_of_a_relaxed_arm_is_no_fault() -> None:
 
 def test_a_flag_counts_each_time_it_comes_up_and_not_while_it_stays() -> None:
     counts = ErrorCounts(NAMES)
-    for status in (0, StatusFlag.OVERLOAD, StatusFlag.OVERLOAD, 0, StatusFlag.OVERLOAD):
-        counts.observe(reading(np.zeros(6), status=[0, 0, status, 0, 0, 0]))
-    assert (counts.of(ELBOW), counts.of(0)) == ({"overload": 2}, {})
+    both = StatusFlag.OVERLOAD | StatusFlag.VOLTAGE
+    for status in (0, StatusFlag.OVERLOAD, both, both, 0, StatusFlag.OVERLOAD):
+        counts.observe(reading(np.zeros(6), status=[0, 0, int(status), 0, 0, 0]))
+    assert (counts.of(ELBOW), counts.of(0)) == ({"overload": 2, "voltage": 1}, {})
 
 
 def test_a_finding_that_repeats_is_one_error_until_it_has_gone_and_a_reboot_is_no_lost_torque_as_well() -> None:
     rebooted, relaxed = (Fault(code, "", "elbow_flex") for code in (FaultCode.SERVO_REBOOTED, FaultCode.TORQUE_LOST))
     counts = ErrorCounts(NAMES)
     # It repeats within 5 s.
-    for now_s in (1.0, 2.0, 7.0, 12.001):
+    for now_s in (1.0, 2.0, 7.0, 12.001, 30.0):
         counts.add_finding(relaxed, now_s)
-    assert counts.of(ELBOW) == {"torque_lost": 2}
+    assert counts.of(ELBOW) == {"torque_lost": 3}
     counts = ErrorCounts(NAMES)
     for now_s, fault in ((1.0, rebooted), (2.0, relaxed)):
         counts.add_finding(fault, now_s)

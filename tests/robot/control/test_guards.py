@@ -178,17 +178,9 @@ def test_all_joints_silent_at_once_are_a_silent_bus_and_fewer_are_silent_servos(
     assert f"for {silent_s} s" in fault.message
 
 
-def test_a_silence_that_spreads_to_all_joints_becomes_that_of_the_bus() -> None:
-    checked, codes = guards(), []
-    for ages in ([0.0] * 6, at(2, 0.11), [0.12] * 6):
-        fault = checked.check(GOAL, reading(GOAL, age_s=np.array(ages)), FULL, 1.0)
-        codes.append(None if fault is None else fault.code)
-    assert codes == [None, FaultCode.SERVO_SILENT, FaultCode.BUS_SILENT]
-
-
-def test_an_arm_that_measures_neither_heat_nor_current_nor_supply_is_well() -> None:
+def test_an_arm_that_measures_neither_heat_nor_current_nor_supply_is_well_and_so_is_one_beyond_its_angle() -> None:
     unmeasured = float("nan")
-    assert never(temperature_c=unmeasured, current_a=unmeasured, voltage_v=unmeasured)
+    assert never(temperature_c=unmeasured, current_a=unmeasured, voltage_v=unmeasured, status=int(StatusFlag.ANGLE))
     assert never(at(1, 0.2), temperature_c=unmeasured, current_a=unmeasured, voltage_v=unmeasured)
 
 

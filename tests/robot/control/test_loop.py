@@ -1,6 +1,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,6 +20,7 @@ from robot.messages import (
     ArmState,
     Command,
     CommandDone,
+    EndState,
     Execute,
     Heartbeat,
     Mode,
@@ -193,12 +195,19 @@ def test_of_messages_that_come_together_an_emergency_stop_goes_first(monkeypatch
 
 
 @pytest.mark.parametrize("opens", [True, False])
-def test_a_server_that_is_gone_ends_the_loop(monkeypatch: pytest.MonkeyPatch, opens: bool) -> None:
-    config = IDEAL if opens else ArmConfig(ROBOT, SerialConfig(CALIBRATION, "/dev/none"))
+def test_a_server_that_is_gone_ends_the_loop(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, opens: bool
+) -> None:
+    config = replace(IDEAL, on_server_lost=EndState.RELAX)
+    if not opens:
+        config = replace(config, hardware=SerialConfig(CALIBRATION, "/dev/none"))
     channel = SteppedChannel(monkeypatch, config, (1.0, Execute(1, PAN)))
     channel.gone_at_s = 1.5
     channel.loop.run()
-    assert 1.5 <= channel.now_s < 2.5
+    # Relaxing takes two seconds.
+    assert 1.5 <= channel.now_s < 4.5
+    assert "end state" not in caplog.text
+    assert f"the server is gone: {'stopping' if opens else 'nothing moves'}" in caplog.text
     ((_, ended),) = channel.kept(MotionEnded)
     assert ended.outcome is (Outcome.STOPPED if opens else Outcome.BUS_LOST)
 

@@ -138,7 +138,7 @@ def calibrated(emulator: SteppedEmulator, **settings: object) -> ArmRig:
     return ArmRig(emulator, hardware=SerialConfig(replace(CALIBRATION, offsets_known=True), "/dev/arm"), **settings)
 
 
-def test_an_arm_whose_zero_has_shifted_is_read_but_not_switched_on(emulator: SteppedEmulator) -> None:
+def test_an_arm_whose_zero_has_shifted_is_read_but_not_switched_on_nor_dropped(emulator: SteppedEmulator) -> None:
     emulator.open_bus().write(3, Register.HOMING_OFFSET, SHIFTED_TICKS)
     rig = calibrated(emulator)
     rig.until_mode(Mode.FAULT)
@@ -149,9 +149,7 @@ def test_an_arm_whose_zero_has_shifted_is_read_but_not_switched_on(emulator: Ste
     rig.order(Order.RESET_FAULT)
     assert "--write-back" in rig.refused(Order.ENABLE)
     assert rig.torque() == [0] * len(IDS)
-
-
-def test_an_arm_that_holds_with_a_shifted_zero_is_not_dropped(emulator: SteppedEmulator) -> None:
+    rig.bus.write(3, Register.HOMING_OFFSET, 0)
     rig = calibrated(emulator).started()
     rig.bus.write(3, Register.HOMING_OFFSET, SHIFTED_TICKS)
     again = calibrated(emulator)
@@ -164,30 +162,22 @@ def rig_on(population: str) -> ArmRig:
     return ArmRig(SteppedEmulator("--population", population, wire_time=False))
 
 
-def after_squeezing(obstacle_rad: float, goal_rad: float, *, gripping: bool) -> ArmRig:
-    """An arm as lerobot leaves it whose open gripper has closed on something and pushed for 6 s."""
+# The second stands so near to its goal that the gripper counts as being there, and pushes on.
+@pytest.mark.parametrize(
+    ("obstacle_rad", "goal_rad", "outcome"), [(0.6, 0.0, Outcome.GRIPPED), (0.9, 0.81, Outcome.REACHED)]
+)
+def test_a_gripper_of_lerobot_that_squeezes_or_is_kept_from_its_goal_pushes_for_long_without_an_overload(
+    obstacle_rad: float, goal_rad: float, outcome: Outcome
+) -> None:
     rig = rig_on("lerobot").started()
     rig.execute(smooth_move({"gripper": (0.0, 1.2)}, 1.0))
     rig.until(lambda: bool(rig.ended))
     rig.emulator.command(obstacle={"6": CALIBRATION.joints[5].ticks_from_rad(obstacle_rad)})
-    rig.execute(smooth_move({"gripper": (1.2, goal_rad)}, 1.0), motion_id=2, gripping=gripping)
+    rig.execute(smooth_move({"gripper": (1.2, goal_rad)}, 1.0), motion_id=2, gripping=outcome is Outcome.GRIPPED)
     rig.until(lambda: len(rig.ended) == 2)
     rig.run(6.0)
-    assert rig.supervisor.fault is None
-    return rig
-
-
-def test_a_gripper_of_lerobot_squeezes_for_long_without_an_overload() -> None:
-    rig = after_squeezing(0.6, 0.0, gripping=True)
-    assert rig.ended[-1].outcome is Outcome.GRIPPED
-    assert abs(rig.state.load[5]) > 0.1
-
-
-def test_a_gripper_of_lerobot_kept_from_its_goal_is_relieved_before_an_overload() -> None:
-    # So near to the goal that the gripper counts as being there, and pushes on.
-    rig = after_squeezing(0.9, 0.81, gripping=False)
-    assert rig.ended[-1].outcome is Outcome.REACHED
-    assert abs(rig.state.load[5]) < LEROBOT.gripper[Register.OVERLOAD_TORQUE] / 100.0
+    assert (rig.supervisor.fault, rig.ended[-1].outcome) == (None, outcome)
+    assert 0.1 < abs(rig.state.load[5]) < LEROBOT.gripper[Register.OVERLOAD_TORQUE] / 100.0
 
 
 def other_elbow() -> Calibration:

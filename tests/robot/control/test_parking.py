@@ -1,3 +1,4 @@
+import logging
 from dataclasses import replace
 from typing import Any
 
@@ -70,7 +71,10 @@ def distance_to_rest(rig: ArmRig) -> float:
 
 
 @pytest.mark.parametrize("orderly", [True, False], ids=["shut down", "server gone"])
-def test_an_end_at_rest_leaves_a_parked_and_relaxed_arm_that_hardly_sinks(rig: ArmRig, orderly: bool) -> None:
+def test_an_end_at_rest_leaves_a_parked_and_relaxed_arm_that_hardly_sinks(
+    rig: ArmRig, caplog: pytest.LogCaptureFixture, orderly: bool
+) -> None:
+    caplog.set_level(logging.INFO)
     rig.supervisor.handle(KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, 0.009))))
     if orderly:
         rig.supervisor.handle(Shutdown())
@@ -78,6 +82,8 @@ def test_an_end_at_rest_leaves_a_parked_and_relaxed_arm_that_hardly_sinks(rig: A
         lose_server(rig)
     until_ended(rig)
     assert rig.torque() == [0] * 6
+    steps = "the arm moves to its rest pose, in 3.0 s", "the arm is at its rest pose, and is relaxed"
+    assert [line for line in caplog.messages if line.startswith("parking")] == [f"parking: {step}" for step in steps]
     rig.run(5.0)
     assert distance_to_rest(rig) < SINK_RAD
 
@@ -225,8 +231,10 @@ def test_a_server_that_comes_back_while_the_arm_brakes_or_parks_finds_it_holding
     assert distance_to_rest(rig) > 0.3
 
 
-def test_a_relaxed_arm_is_not_parked(rig: ArmRig) -> None:
+def test_a_relaxed_arm_is_not_parked(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
     assert rig.order(Order.RELAX).done
+    rig.alive = False
+    rig.run(6.0)
     lose_server(rig)
     until_ended(rig, 0.1)
-    assert rig.outcomes == []
+    assert (rig.outcomes, "parking" in caplog.text) == ([], False)

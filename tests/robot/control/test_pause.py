@@ -74,6 +74,8 @@ def test_a_motion_stands_still_goes_on_tick_by_tick_and_ends_well_later() -> Non
     before = world.data.qpos.tolist()
     moving.tick(200)
     assert (moving.clock(), world.data.qpos.tolist()) == (clock_s, before)
+    # Bodies at rest are sent once a second.
+    assert sum(state.bodies is not None for state in moving.sent if isinstance(state, ArmState)) == 3
     assert (moving.state.stepped_ticks, moving.state.fault) == (0, None)
     moving.pause(ticks=3)
     moving.tick(20)

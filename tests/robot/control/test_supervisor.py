@@ -1,3 +1,4 @@
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,9 +10,10 @@ import pytest
 from robot.control.cycle import ControlCycle
 from robot.control.pacing import PERIOD_S, Pacer, Scheduling
 from robot.control.supervisor import arm_health, arm_state
+from robot.description.limits import within_calibration
+from robot.emulator.populations import POPULATIONS
 from robot.errors import PortError
-from robot.faults import FaultCode
-from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig
+from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig
 from robot.hardware.feetech.registers import Register
 from robot.messages import (
     END_LIMIT_S,
@@ -33,6 +35,7 @@ from robot.messages import (
 from tests.helpers.arm_rig import CALIBRATION, METAL, NAMES, ArmRig, unread_hardware
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move
+from tests.helpers.robots import recalibrated, so101
 
 Start = Callable[..., ArmRig]
 PAN = smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=1.5)
@@ -154,12 +157,15 @@ def test_relaxing_stops_the_motion_first_refuses_others_and_ends_verified(moving
     assert (moving.mode, moving.torque()) == (Mode.RELAXED, [0] * 6)
 
 
-def test_an_emergency_stop_cuts_torque_in_one_tick_is_verified_and_its_reset_enables_nothing(moving: ArmRig) -> None:
+def test_an_emergency_stop_cuts_torque_in_one_tick_is_verified_and_its_reset_enables_nothing(
+    moving: ArmRig, caplog: pytest.LogCaptureFixture
+) -> None:
     number = moving.begin(Order.EMERGENCY_STOP)
     assert moving.torque() == [0] * 6
     assert moving.fault_code == "emergency_stop"
     assert moving.outcomes == [Outcome.FAULT]
     assert moving.wait(number).done
+    assert len(lines(caplog, "emergency stop: torque is off")) == 1
     assert not moving.order(Order.ENABLE).done
     for order, mode in ((Order.RESET_FAULT, Mode.RELAXED), (Order.ENABLE, Mode.HOLDING)):
         assert moving.order(order).done
@@ -215,15 +221,6 @@ def test_setpoints_steer_a_stream_whose_goals_are_sent_at_every_tick_and_other_s
     goals = [each.position_rad[0] for each in rig.sent if isinstance(each, Commanded)]
     assert len(goals) == 50
     assert goals[-1] == pytest.approx(0.5 * 0.5, abs=0.05)
-
-
-def test_a_speed_limit_stays_when_the_hardware_was_lost(rig: ArmRig) -> None:
-    rig.supervisor.handle(ChangePace(speed_limit=0.5))
-    rig.supervisor.disconnect(LOST)
-    rig.connect()
-    rig.until_mode(Mode.HOLDING)
-    rig.run(0.1)
-    assert rig.state.pace.speed_limit == 0.5
 
 
 def test_an_emergency_stop_during_the_start_or_before_the_arm_is_there_keeps_it_off(emulator: SteppedEmulator) -> None:
@@ -325,13 +322,6 @@ def test_an_arm_reacts_to_a_silent_server_as_configured(start_rig: Start, caplog
     rig.alive = False
     rig.until_mode(Mode.RELAXED)
     assert rig.torque() == [0] * 6
-
-
-def test_the_log_names_the_reaction_to_a_lost_server(moving: ArmRig, caplog: pytest.LogCaptureFixture) -> None:
-    moving.supervisor.lose_server()
-    assert "the server is gone: stopping" in caplog.text
-    moving.until(lambda: moving.supervisor.finished())
-    assert moving.outcomes == [Outcome.STOPPED]
 
 
 @pytest.mark.parametrize("hardware", SIMULATED)
@@ -483,8 +473,12 @@ def test_an_arm_that_is_lost_with_torque_on_is_reported_once_at_its_end(
 
 
 def test_a_lost_bus_ends_the_motion_refuses_orders_and_a_new_one_adopts_the_arm_as_it_is_found(
-    emulator: SteppedEmulator, moving: ArmRig
+    emulator: SteppedEmulator, caplog: pytest.LogCaptureFixture, start_rig: Start
 ) -> None:
+    caplog.set_level(logging.INFO)
+    moving = start_rig()
+    moving.execute(PAN)
+    moving.run(0.4)
     moving.supervisor.disconnect(LOST)
     assert moving.mode is Mode.DISCONNECTED
     moving.execute(PAN, motion_id=2)
@@ -492,6 +486,9 @@ def test_a_lost_bus_ends_the_motion_refuses_orders_and_a_new_one_adopts_the_arm_
     moving.connect()
     moving.until_mode(Mode.HOLDING)
     assert moving.torque() == [1] * 6
+    assert lines(caplog, "checking the servos: ") == [
+        f"checking the servos: the arm {how}" for how in ("holds", "was holding")
+    ]
     moving.supervisor.disconnect(LOST)
     emulator.command(power_cycle=[1, 2, 3, 4, 5, 6])
     moving.connect()
@@ -506,12 +503,13 @@ def test_a_lost_bus_ends_the_motion_refuses_orders_and_a_new_one_adopts_the_arm_
         assert LOST in answer.message, order
 
 
-def test_a_latched_fault_outlives_the_bus(rig: ArmRig) -> None:
+def test_a_latched_fault_and_a_speed_limit_outlive_the_bus(rig: ArmRig) -> None:
+    rig.supervisor.handle(ChangePace(speed_limit=0.5))
     rig.order(Order.EMERGENCY_STOP)
     rig.supervisor.disconnect(LOST)
     rig.connect()
-    rig.until_mode(Mode.FAULT)
-    assert rig.supervisor.fault.code is FaultCode.EMERGENCY_STOP
+    rig.run(0.5)
+    assert (rig.mode, rig.fault_code, rig.state.pace.speed_limit) == (Mode.FAULT, "emergency_stop", 0.5)
 
 
 def test_an_arm_adopted_only_in_part_is_a_fault_after_a_reconnect(emulator: SteppedEmulator, rig: ArmRig) -> None:
@@ -521,16 +519,6 @@ def test_an_arm_adopted_only_in_part_is_a_fault_after_a_reconnect(emulator: Step
     rig.until_mode(Mode.FAULT)
     assert "wrist_roll (id 5)" in str(rig.supervisor.fault)
     assert rig.torque() == [1, 1, 1, 1, 0, 1]
-
-
-def test_a_gripper_moves_beside_the_arm(rig: ArmRig) -> None:
-    rig.execute(PAN, motion_id=1)
-    rig.execute(smooth_move({"gripper": (0.0, 0.6)}, 1.0), motion_id=2, torque_share=0.5)
-    rig.run(0.3)
-    assert rig.bus.read(6, Register.TORQUE_LIMIT) == 250
-    rig.until(lambda: len(rig.ended) == 2)
-    assert rig.outcomes == [Outcome.REACHED] * 2
-    assert rig.bus.read(6, Register.TORQUE_LIMIT) == 500
 
 
 def test_a_motion_requested_before_the_last_stop_does_not_begin(rig: ArmRig) -> None:
@@ -560,3 +548,13 @@ def test_an_order_to_hold_that_was_requested_before_the_last_stop_is_refused(sta
     rig.supervisor.handle(Command(103, Order.RESET_FAULT, epoch=8))
     assert not rig.answer(103).done
     assert rig.mode is Mode.FAULT
+
+
+def test_servos_that_another_driver_has_shifted_are_driven_by_a_calibration_that_knows_their_offsets() -> None:
+    servos = SteppedEmulator("--population", "ros2_driver", wire_time=False)
+    calibration = recalibrated(CALIBRATION, POPULATIONS["ros2_driver"])
+    robot = within_calibration(so101(), calibration)
+    rig = ArmRig(servos, robot=robot, hardware=SerialConfig(calibration, "/dev/arm")).started()
+    rig.execute(PAN)
+    rig.until(lambda: bool(rig.ended))
+    assert rig.outcomes == [Outcome.REACHED]

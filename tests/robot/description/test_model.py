@@ -17,7 +17,7 @@ from robot.description.meshes import find_mesh, package_path, with_mesh_paths
 from robot.errors import DescriptionError
 from tests.helpers.resources import shared_data
 from tests.helpers.robots import nominal_calibration, so101
-from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF
+from tests.planners.small_arms import CRANE_SRDF, CRANE_URDF, PALLETIZER_SRDF, PALLETIZER_URDF
 
 URDF = """<robot name="two"><link name="a"/><link name="b"/><link name="c"/>
 <joint name="ab" type="revolute"><parent link="a"/><child link="b"/><limit lower="-1" upper="2" velocity="3"/></joint>
@@ -157,7 +157,11 @@ def test_the_group_of_goals_is_the_arm_else_the_first_or_longest_chain(caplog: p
     assert "has no <group>: the group 'arm' is the longest chain" in caplog.text
 
 
-ARMS = {"so101": so101(), "crane": model.parse(CRANE_URDF, CRANE_SRDF)}
+ARMS = {
+    "so101": so101(),
+    "crane": model.parse(CRANE_URDF, CRANE_SRDF),
+    "mimics": model.parse(PALLETIZER_URDF, PALLETIZER_SRDF),
+}
 
 
 @pytest.fixture(params=ARMS)
@@ -276,3 +280,10 @@ def test_a_mesh_that_is_not_there_is_refused_with_the_paths_tried_or_missed_in_t
     # One that is there has its path for a name.
     text = with_mesh_paths(urdf("../meshes/b.stl"), package / "urdf", ())
     assert f'filename="{package / "meshes" / "b.stl"}"' in text
+
+
+def test_a_mesh_that_takes_gigabytes_to_load_is_refused(tmp_path: Path) -> None:
+    with (tmp_path / "large.stl").open("wb") as file:
+        file.truncate(50_000_001)
+    with pytest.raises(DescriptionError, match=r"large\.stl has 50000001 bytes, 50000000 are allowed"):
+        model.parse(urdf("large.stl"), MESH_SRDF, mesh_directory=tmp_path)

@@ -1,6 +1,7 @@
 import tempfile
 from importlib import metadata
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -138,7 +139,39 @@ def test_all_problems_of_the_files_are_told_at_once_and_what_is_missing_or_no_nu
     assert problem == "robot.urdf: is missing, and the folder has no .urdf file: name one"
 
 
-def test_a_built_in_arm_is_found_by_its_name_and_a_folder_by_its_path(tmp_path: Path) -> None:
+ALIASES = "a0: &a0 [1]\n" + "".join(f"a{n + 1}: &a{n + 1} [{', '.join([f'*a{n}'] * 9)}]\n" for n in range(30))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("limits.yaml", f"{ALIASES}joint_limits: {{a1: *a30}}", "joint_limits.a1 must be a mapping, not [["),
+        (
+            "limits.yaml",
+            f"joint_limits: {{a1: {{has_velocity_limits: true, max_velocity: {10**400}}}}}",
+            "joint_limits.a1.max_velocity must be a number, not 1000",
+        ),
+        ("limits.yaml", "[" * 10_000, "limits.yaml cannot be read: maximum recursion depth exceeded"),
+        ("hulls.json", "[" * 100_000, "hulls.json cannot be read: maximum recursion depth exceeded"),
+        (
+            "hulls.json",
+            '{"links": {"hand": {"vertices": [[NaN, 0, 0]], "triangles": []}}}',
+            "hulls.json must have vertices and triangles for each link: a vertex has a coordinate that is no finite",
+        ),
+        ("robot.toml", f"a = {'[' * 10_000}", "is no TOML: maximum recursion depth exceeded"),
+    ],
+    ids=["aliases", "a number of 400 digits", "deep YAML", "deep JSON", "no number", "deep TOML"],
+)
+def test_a_hostile_file_is_refused_in_one_sentence(tmp_path: Path, name: str, content: str, words: str) -> None:
+    key = {"limits.yaml": "joint_limits", "hulls.json": "hulls"}.get(name, "title")
+    folder = arm_folder(tmp_path, f'[robot]\n{key} = "{name}"')
+    (folder / name).write_text(content)
+    (problem,) = robot_folder.problems(str(folder))
+    assert words in problem
+    assert len(problem) < 1000
+
+
+def test_a_built_in_arm_is_found_by_its_name_and_a_folder_by_its_path_or_with_another_urdf(tmp_path: Path) -> None:
     assert robot_folder.resolve("so101").model.links == so101().links
     assert robot_folder.resolve(str(arm_folder(tmp_path))).model.name == "seven"
     for name, words in (
@@ -147,9 +180,7 @@ def test_a_built_in_arm_is_found_by_its_name_and_a_folder_by_its_path(tmp_path: 
     ):
         with pytest.raises(DescriptionError, match=words):
             robot_folder.resolve(name)
-
-
-def test_another_urdf_takes_the_folder_s_place_without_its_hulls(tmp_path: Path) -> None:
+    # Another URDF has no hulls.
     found = robot_folder.built_in("so101")
     urdf, srdf = tmp_path / "a.urdf", tmp_path / "a.srdf"
     urdf.write_text(found.model.urdf.replace('velocity="1.2"', 'velocity="10"'))
@@ -261,9 +292,5 @@ def test_a_published_robot_is_loaded_by_its_name_with_ideal_joints_if_it_has_an_
 
 def test_no_robot_is_found_that_the_package_does_not_have_nor_any_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     assert find_example("no such robot") is None
-
-    def missing(name: str) -> metadata.Distribution:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "distribution", missing)
+    monkeypatch.setattr(metadata, "distribution", Mock(side_effect=metadata.PackageNotFoundError("it")))
     assert find_example("panda") is None

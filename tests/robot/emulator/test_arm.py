@@ -88,14 +88,11 @@ def test_replies_are_lost_or_damaged_as_configured_and_alike_for_a_seed(kind: st
     assert first == again != other
 
 
-@pytest.mark.parametrize(("resumes", "lines"), [(False, []), (True, ["{}"])])
-def test_only_servos_that_were_there_before_go_on_with_their_record(
-    clock: SteppedClock, write_log: Path, resumes: bool, lines: list[str]
-) -> None:
-    write_log.write_text("{}\n")
-    log = emulated_arm("feetech", clock, write_log=write_log, resumes=resumes).bus.log
-    with contextlib.closing(log):
-        assert write_log.read_text().splitlines() == lines
+def test_only_servos_that_were_there_before_go_on_with_their_record(clock: SteppedClock, write_log: Path) -> None:
+    for resumes, lines in ((True, ["{}"]), (False, [])):
+        write_log.write_text("{}\n")
+        with contextlib.closing(emulated_arm("feetech", clock, write_log=write_log, resumes=resumes).bus.log):
+            assert write_log.read_text().splitlines() == lines
 
 
 def test_servos_with_a_shifted_zero_start_relaxed_and_are_refused_torque(clock: SteppedClock) -> None:

@@ -25,9 +25,9 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import Measured, StatusFlag
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION
-from tests.helpers.emulated_family import run
 from tests.helpers.emulator import SteppedClock
 from tests.helpers.robots import nominal_calibration, so101
+from tests.helpers.servo_families import run
 
 
 @pytest.fixture

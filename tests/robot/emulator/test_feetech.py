@@ -12,8 +12,8 @@ from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.profiles import LEROBOT
 from robot.hardware.feetech.registers import Area, Register
 from robot.hardware.interface import StatusFlag
-from tests.helpers.emulated_family import FEETECH, run
 from tests.helpers.robots import nominal_calibration, so101
+from tests.helpers.servo_families import FEETECH, run
 
 
 def servo_at(ticks=2048.0, limits=(800, 3300), offset=0):
@@ -29,15 +29,21 @@ def servo_at(ticks=2048.0, limits=(800, 3300), offset=0):
 put, get = FEETECH.write, FEETECH.read
 
 
-@pytest.mark.parametrize(("goal", "reached"), [(100, 800), (4000, 3300)])
-def test_a_goal_beyond_the_angle_limits_ends_at_the_limit(goal, reached):
-    servo = servo_at()
-    put(servo, "GOAL_POSITION", goal)
-    put(servo, "TORQUE_ENABLE", 1)
-    run(servo, 2.0)
-    assert servo.present_ticks == reached
-    assert get(servo, "GOAL_POSITION") == goal
-    assert get(servo, "GOAL_POSITION_ECHO") == reached
+def test_a_goal_beyond_the_angle_limits_ends_at_the_limit_and_a_servo_may_power_up_holding_where_it_is():
+    for goal, reached in ((100, 800), (4000, 3300)):
+        servo = servo_at()
+        put(servo, "GOAL_POSITION", goal)
+        put(servo, "TORQUE_ENABLE", 1)
+        run(servo, 2.0)
+        assert servo.present_ticks == reached
+        assert get(servo, "GOAL_POSITION") == goal
+        assert get(servo, "GOAL_POSITION_ECHO") == reached
+    servo = servo_at(2500.0, offset=-100)
+    servo.powers_up_holding = True
+    servo.power_up()
+    run(servo, 1.0)
+    assert get(servo, "TORQUE_ENABLE") == 1
+    assert servo.present_ticks == get(servo, "GOAL_POSITION") == 2500
 
 
 def holding_servo(**registers):
@@ -90,15 +96,6 @@ def test_a_hot_servo_lets_go_if_it_is_set_to_and_holds_again_when_cool(unloading
     servo.motor.temperature_c = 50.0
     run(servo, 1.0)
     assert servo.present_ticks == 2200
-
-
-def test_a_servo_may_power_up_holding_where_it_is():
-    servo = servo_at(2500.0, offset=-100)
-    servo.powers_up_holding = True
-    servo.power_up()
-    run(servo, 1.0)
-    assert get(servo, "TORQUE_ENABLE") == 1
-    assert servo.present_ticks == get(servo, "GOAL_POSITION") == 2500
 
 
 def test_only_one_is_torque_on_and_a_wrong_supply_takes_none():
@@ -183,13 +180,20 @@ def servos_of(population: str) -> list[FeetechServo]:
     return build_servos(NOMINAL, [0.0] * 6, POPULATIONS[population])
 
 
-def test_lerobots_servos_have_its_registers_and_an_open_eprom():
+def test_lerobots_servos_have_its_registers_and_an_open_eprom_and_clones_another_model():
     for servo, joint in zip(servos_of("lerobot"), NOMINAL.joints, strict=True):
         expected = LEROBOT.expected(gripper=joint.servo.gripper)
         assert {register: servo.value(register) for register in expected} == expected
         assert servo.value(Register.LOCK) == 0
         servo.power_up()
         assert servo.value(Register.LOCK) == 1
+    clones = servos_of("clone")
+    assert {servo.value(Register.MODEL_NUMBER) for servo in clones} == {2825}
+    assert len({servo.value(Register.FIRMWARE_MINOR) for servo in clones}) > 1
+    for clone in clones:
+        assert (clone.value(Register.TORQUE_ENABLE), clone.value(Register.LOCK)) == (1, 0)
+        run(clone, 0.5)
+        assert clone.error == 0
 
 
 def test_another_drivers_offsets_shift_what_is_read_and_not_the_arm_unless_the_servos_are_found_again():
@@ -202,16 +206,6 @@ def test_another_drivers_offsets_shift_what_is_read_and_not_the_arm_unless_the_s
     start_rad = [0.1, -0.5, 0.4, 0.2, 0.1, 0.3]
     again, true = build_servos(NOMINAL, start_rad, ROS2_DRIVER, as_read=True), build_servos(NOMINAL, start_rad, FACTORY)
     assert [servo.present_ticks for servo in again] == [servo.present_ticks for servo in true]
-
-
-def test_clones_are_of_one_other_model_but_not_of_one_firmware():
-    clones = servos_of("clone")
-    assert {servo.value(Register.MODEL_NUMBER) for servo in clones} == {2825}
-    assert len({servo.value(Register.FIRMWARE_MINOR) for servo in clones}) > 1
-    for clone in clones:
-        assert (clone.value(Register.TORQUE_ENABLE), clone.value(Register.LOCK)) == (1, 0)
-        run(clone, 0.5)
-        assert clone.error == 0
 
 
 def test_the_wrist_stops_before_its_calibrated_range_ends_and_a_hand_finds_a_position_behind_the_seam():

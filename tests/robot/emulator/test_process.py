@@ -3,6 +3,7 @@ import json
 import os
 import random
 import re
+import select
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, replace
 from itertools import pairwise
@@ -11,18 +12,19 @@ from pathlib import Path
 import pytest
 import serial
 
+from harness.waiting import TIMEOUT_S
 from robot.calibration import MAX_TICK, Calibration, save
 from robot.emulator import process
 from robot.emulator.arm import InProcessPort
-from robot.emulator.control import Emulation, LiveCommand, answer, check
+from robot.emulator.control import Controller, Emulation, LiveCommand, answer, check
 from robot.emulator.feetech import FEETECH, FeetechServo, build_servos
 from robot.emulator.process import REHEARSALS, Rehearsal, TimedCommand, UsbAdapter
 from robot.emulator.servo_bus import EmulatedBus, Faults, Reply
 from robot.errors import CalibrationError
 from robot.hardware.feetech.registers import Register
-from tests.helpers.emulated_family import FEETECH as FEETECH_FAMILY
 from tests.helpers.emulator import options_parser
 from tests.helpers.robots import nominal_calibration
+from tests.helpers.servo_families import FEETECH as FEETECH_FAMILY
 
 
 @pytest.fixture
@@ -53,13 +55,10 @@ def test_every_byte_passes_unaltered_and_those_that_are_not_read_are_lost_withou
     os.close(client)
 
 
-@pytest.mark.parametrize(("set_to", "seen"), [(1_000_000, 1_000_000), (115_200, 115_200), (9600, 0)])
-def test_the_baud_rate_is_the_one_that_the_client_sets(adapter, set_to, seen):
-    with serial.Serial(adapter.port, set_to):
-        assert adapter.baudrate == seen
-
-
-def test_a_file_in_the_place_of_the_link_is_left_alone(tmp_path):
+def test_the_baud_rate_is_that_of_the_client_and_a_file_in_the_place_of_the_link_is_left_alone(adapter, tmp_path):
+    for set_to, seen in ((1_000_000, 1_000_000), (115_200, 115_200), (9600, 0)):
+        with serial.Serial(adapter.port, set_to):
+            assert adapter.baudrate == seen
     link = tmp_path / "link"
     link.write_text("mine")
     with pytest.raises(FileExistsError):
@@ -124,6 +123,34 @@ def test_an_adapter_that_is_pulled_takes_port_link_and_queue_away(adapter, clien
     assert (adapter.port, adapter.descriptors) == (there, descriptors)
 
 
+class SteppedHost:
+    """Time that passes while an emulator waits, and a host that sends it a byte now and then."""
+
+    def __init__(self, line: serial.Serial, sends_at_s: list[float]) -> None:
+        self.now_s = 0.0
+        self._line, self._sends_at_s = line, sends_at_s
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def select(self, watched: list[int], *_: object) -> tuple[list[int], list[int], list[int]]:
+        self.now_s += TICK_S
+        if not self._sends_at_s or self.now_s < self._sends_at_s[0]:
+            return [], [], []
+        self._sends_at_s.pop(0)
+        self._line.write(b"x")
+        return select.select(watched, [], [], TIMEOUT_S)
+
+
+def test_an_emulator_whose_controller_has_ended_serves_on_until_the_bus_is_silent(adapter, client, monkeypatch):
+    host, controller = SteppedHost(client, [0.5, 1.4]), Controller(-1, -1)
+    controller.gone = True
+    monkeypatch.setattr(process, "time", host)
+    monkeypatch.setattr(process, "select", host)
+    process.serve(bus_of(), adapter, controller, Rehearsal(), essential=True)
+    assert host.now_s == pytest.approx(1.4 + process.LINGER_S, abs=2 * TICK_S)
+
+
 @contextlib.contextmanager
 def built(*arguments):
     options = options_parser().parse_args(arguments)
@@ -158,7 +185,9 @@ def test_servos_and_bus_are_as_asked_for(tmp_path):
     assert json.loads(log.read_text())["command"] == {}
 
 
-def test_options_that_cannot_be_are_refused_in_a_sentence(capsys):
+def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, monkeypatch):
+    # Handlers of signals would stay, and end the tests that raise some later.
+    monkeypatch.setattr(process, "_end_on_signals", lambda **_: None)
     for arguments, sentence, error in (
         (["--start=a"], "not a list of numbers", SystemExit),
         (["--drop", "2"], "drop: must be less than or equal to 1, not 2.0", SystemExit),

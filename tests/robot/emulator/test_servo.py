@@ -10,7 +10,7 @@ from robot.emulator.plant import AMBIENT_C, SQUEEZING, STALL_CURRENT_A, WELL_COO
 from robot.emulator.servo import Memory
 from robot.hardware.feetech.registers import TABLE, Register
 from robot.hardware.interface import StatusFlag
-from tests.helpers.emulated_family import OF_BOTH_FAMILIES, Family, run
+from tests.helpers.servo_families import OF_BOTH_FAMILIES, Family, run
 
 
 @OF_BOTH_FAMILIES
@@ -30,18 +30,28 @@ def test_a_driven_servo_goes_to_its_goal_within_its_velocity_and_shows_the_motio
 
 
 @OF_BOTH_FAMILIES
-def test_torque_switched_on_with_a_stale_goal_makes_the_arm_jump(family: Family) -> None:
+def test_torque_switched_on_with_a_stale_goal_makes_the_arm_jump_and_heat_and_a_wrong_supply_are_reported(
+    family: Family,
+) -> None:
     servo = family.build(3)
     family.write(servo, "TORQUE_ENABLE", 1)
     run(servo, 0.2)
     assert servo.present_ticks < 2048 - 300
+    for name, value, flag in (
+        ("voltage_v", 12.6, StatusFlag.VOLTAGE),
+        ("temperature_c", 75.0, StatusFlag.TEMPERATURE),
+    ):
+        servo = family.build(3)
+        setattr(servo if name == "voltage_v" else servo.motor, name, value)
+        run(servo, 0.01)
+        assert (servo.protection.status, servo.error != 0) == (flag, True)
 
 
 @OF_BOTH_FAMILIES
 @pytest.mark.parametrize("cut_power", [lambda servo: servo.power_up(), lambda servo: (servo.unplug(), servo.plug_in())])
 def test_a_power_cut_keeps_what_is_stored_alone(family: Family, cut_power: Any) -> None:
     servo = family.build(3)
-    stored, (limit, quarter) = family.read(servo, family.stored), family.limit
+    stored, (limit, quarter) = family.read(servo, family.stored), family.quarter
     servo.hold()
     family.write(servo, limit, quarter)
     cut_power(servo)
@@ -58,24 +68,11 @@ def test_a_blocked_servo_pushes_with_its_limit_and_measures_its_supply_and_tempe
     assert (family.read(servo, family.supply), family.read(servo, "PRESENT_TEMPERATURE")) == (49, 41)
     servo.hold()
     servo.plant.block(2100.0)
-    family.write(servo, *family.limit)
+    family.write(servo, *family.quarter)
     family.write(servo, "GOAL_POSITION", 3000)
     run(servo, 0.5)
     assert family.read(servo, "PRESENT_POSITION") == 2100
     assert (servo.torque_limit_permille, servo.plant.duty_permille) == pytest.approx((250, 250), abs=1)
-
-
-@OF_BOTH_FAMILIES
-@pytest.mark.parametrize(
-    ("quantity", "value", "flag"),
-    [("voltage_v", 12.6, StatusFlag.VOLTAGE), ("temperature_c", 75.0, StatusFlag.TEMPERATURE)],
-)
-def test_heat_and_a_wrong_supply_are_reported(family: Family, quantity: str, value: float, flag: StatusFlag) -> None:
-    servo = family.build(3)
-    setattr(servo if quantity == "voltage_v" else servo.motor, quantity, value)
-    run(servo, 0.01)
-    assert servo.protection.status == flag
-    assert servo.error != 0
 
 
 @given(st.lists(st.tuples(st.integers(0, 90), st.binary(min_size=1, max_size=20)), max_size=10))

@@ -23,9 +23,9 @@ from robot.emulator.servo_bus import (
 )
 from robot.hardware.feetech.bus import parse_status_frames
 from robot.hardware.feetech.registers import Register
-from tests.helpers.emulated_family import ALL, DYNAMIXEL, FEETECH, IDS, OF_BOTH_FAMILIES, Family
 from tests.helpers.emulator import (
     ACTION,
+    ALL,
     BACKUP,
     CALIBRATE,
     PING,
@@ -40,8 +40,10 @@ from tests.helpers.emulator import (
     packet,
 )
 from tests.helpers.robots import nominal_calibration
+from tests.helpers.servo_families import DYNAMIXEL, FEETECH, OF_BOTH_FAMILIES, Family
 
 RESET = 10
+IDS = (1, 2, 3)
 
 
 class Wire:
@@ -142,28 +144,23 @@ def test_an_instruction_that_is_lost_is_not_carried_out_unlike_a_lost_reply(fami
 
 
 @OF_BOTH_FAMILIES
-def test_a_reply_may_bear_a_wrong_id_with_a_sound_checksum(family: Family) -> None:
-    replies = Wire(family, wrong_id=1.0).ask(2, READ, family.block("ID"))
-    ((servo_id, frame),) = family.driver.parse_status_frames(replies, range(253), 1).items()
+def test_a_reply_may_bear_a_wrong_id_and_servos_hear_whole_packets_at_their_own_baud_rate_alone(
+    family: Family, wire: Wire
+) -> None:
+    for at in (-1, -3):
+        damaged = bytearray(family.build_packet(1, WRITE, family.assignment("TORQUE_ENABLE", 1)))
+        damaged[at] ^= 0xFF
+        assert wire.send(bytes(damaged)) == (wire.status(1, error=CRC_ERROR) if family is DYNAMIXEL else b"")
+        assert wire.values("TORQUE_ENABLE") == [0, 0, 0]
+    wire.bus.faults.wrong_id = 1.0
+    replies = wire.ask(2, READ, family.block("ID"))
+    ((servo_id, frame),) = family.packets.parse_status_frames(replies, range(253), 1).items()
     assert (servo_id != 2, frame.data) == (True, b"\x02")
-
-
-@OF_BOTH_FAMILIES
-def test_servos_hear_at_their_own_baud_rate_alone(family: Family, wire: Wire) -> None:
     ping = family.build_packet(3, PING, b"")
     family.write(wire.servos[2], "BAUD_RATE", 1)
     rate = wire.servos[2].baudrate
     assert rate not in (0, 1_000_000)
     assert [wire.send(ping, each) != b"" for each in (0, 1_000_000, rate)] == [False, False, True]
-
-
-@OF_BOTH_FAMILIES
-@pytest.mark.parametrize("at", [-1, -3])
-def test_a_damaged_instruction_is_not_carried_out(family: Family, wire: Wire, at: int) -> None:
-    damaged = bytearray(family.build_packet(1, WRITE, family.assignment("TORQUE_ENABLE", 1)))
-    damaged[at] ^= 0xFF
-    assert wire.send(bytes(damaged)) == (wire.status(1, error=CRC_ERROR) if family is DYNAMIXEL else b"")
-    assert wire.values("TORQUE_ENABLE") == [0, 0, 0]
 
 
 INSTRUCTIONS = st.builds(Instruction, st.integers(0, ALL), st.integers(1, 0x83), st.binary(max_size=60))
@@ -216,6 +213,14 @@ def test_replies_are_due_when_their_last_byte_has_passed_the_wire_the_return_del
     bus.servos[0].write(Register.RETURN_DELAY, bytes([250]))
     (delayed,) = bus.receive(packet(1, PING), 8.0)
     assert (delayed.due_s - 8.0) - (at_once.due_s - 6.0) == pytest.approx(500e-6)
+    # A delayed reply has passed the wire, and holds up those behind it.
+    bus.faults.delay, bus.faults.delay_s = 1.0, 0.05
+    (late,) = bus.receive(packet(2, PING), 9.0)
+    assert late.due_s - late.end_s == pytest.approx(0.05)
+    bus.faults.delay = 0.0
+    (behind,) = bus.receive(packet(3, PING), 9.01)
+    assert behind.data == FEETECH_CODEC.status_packet(3, 0)
+    assert behind.end_s < late.due_s <= behind.due_s
 
 
 def test_who_talks_over_replies_is_not_heard_and_loses_them_but_is_heard_when_they_are_over(bus):
@@ -231,16 +236,6 @@ def test_who_talks_over_replies_is_not_heard_and_loses_them_but_is_heard_when_th
     assert all(len(reply.data) == 21 for reply in replies)
 
 
-def test_a_delayed_reply_has_passed_the_wire_and_holds_up_those_behind_it():
-    bus = bus_with(Faults(delay=1.0, delay_s=0.05))
-    (late,) = bus.receive(packet(1, PING), 0.0)
-    assert late.due_s - late.end_s == pytest.approx(0.05)
-    bus.faults.delay = 0.0
-    (behind,) = bus.receive(packet(2, PING), 0.01)
-    assert behind.data == FEETECH_CODEC.status_packet(2, 0)
-    assert behind.end_s < late.due_s <= behind.due_s
-
-
 @pytest.fixture
 def feetechs() -> Wire:
     return Wire(FEETECH)
@@ -251,7 +246,11 @@ def dynamixels() -> Wire:
     return Wire(DYNAMIXEL)
 
 
-def test_a_servo_answers_no_more_than_its_response_level_allows(feetechs, dynamixels):
+def test_a_servo_answers_no_more_than_its_response_level_allows_and_to_nonsense_with_an_error_at_most(
+    feetechs, dynamixels
+):
+    assert feetechs.ask(2, 0x55) == feetechs.ask(2, READ, b"\x05") == feetechs.ask(ALL, SYNC_READ, b"\x05\x01") == b""
+    assert dynamixels.ask(2, 0x92, b"\x01") == dynamixels.status(2, error=INSTRUCTION_ERROR)
     feetechs.servos[1].write(Register.RESPONSE_LEVEL, bytes([0]))
     assert feetechs.ask(2, PING) == feetechs.status(2)
     assert feetechs.ask(2, READ, FEETECH.block("ID")) == feetechs.status(2, b"\x02")
@@ -261,11 +260,6 @@ def test_a_servo_answers_no_more_than_its_response_level_allows(feetechs, dynami
         dynamixels.ask(2, WRITE, DYNAMIXEL.assignment("STATUS_RETURN_LEVEL", level))
         asked = ((WRITE, DYNAMIXEL.assignment("LED", 1)), (READ, DYNAMIXEL.block("LED")), (PING, b""))
         assert [dynamixels.ask(2, *each) != b"" for each in asked] == answers
-
-
-def test_an_instruction_that_makes_no_sense_does_nothing_and_is_an_error_of_a_dynamixel(feetechs, dynamixels):
-    assert feetechs.ask(2, 0x55) == feetechs.ask(2, READ, b"\x05") == feetechs.ask(ALL, SYNC_READ, b"\x05\x01") == b""
-    assert dynamixels.ask(2, 0x92, b"\x01") == dynamixels.status(2, error=INSTRUCTION_ERROR)
 
 
 def test_a_restore_brings_back_what_was_backed_up_for_good_but_the_id(feetechs):

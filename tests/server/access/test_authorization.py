@@ -18,8 +18,7 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.messages import REGISTRY
 from tests.helpers.rules import server_rules, with_server_rules
 
-SCREEN, OTTO, ADA = Identity("screen", Role.VIEW), Identity("otto", Role.OPERATE), Identity("ada", Role.ADMIN)
-
+SCREEN, AGENT, OTTO, ADA = (Identity(role.name, role) for role in Role)
 
 SERVER, SEVERAL = with_server_rules(Graph(REGISTRY)), with_server_rules(Graph(REGISTRY), "left", "right")
 
@@ -91,6 +90,7 @@ NEEDS: dict[Role, dict[str, str]] = {
         "advertise": "/emergency_stop emergency_stop",
         "cancel_action_goal": ACTION,
     },
+    Role.PROPOSE: {"call_service": "/moveit_goal"},
     Role.OPERATE: {
         "publish": f"{GOAL} moveit_goal_named /move_group/goal /of_a_client /dataset/episode",
         "advertise": GOAL,
@@ -114,7 +114,7 @@ NEEDS: dict[Role, dict[str, str]] = {
     [(least, op, name) for least, ops in NEEDS.items() for op, names in ops.items() for name in names.split()],
 )
 def test_an_operation_needs_its_role(least: Role, op: str, name: str) -> None:
-    for identity in (SCREEN, OTTO, ADA):
+    for identity in (SCREEN, AGENT, OTTO, ADA):
         refusal = asked(World().authorizer(identity), op, name)
         assert (refusal is None) is (identity.role >= least), refusal
 
@@ -191,9 +191,12 @@ class TestControl:
 
     def test_while_one_drives_others_may_not(self, world: World) -> None:
         second = world.authorizer(name="second")
+        # Its goal waits for a client that may drive.
+        assert asked(world.authorizer(AGENT, "agent"), "call_service", "/moveit_goal") is None
         steering = "/servo_node/delta_twist_cmds", "/arm_controller/joint_trajectory"
         ways = [("publish", topic) for topic in (GOAL, "moveit_goal_named", "/move_group/goal", *steering)]
-        ways += [("send_action_goal", ACTION), ("call_service", "/arm/enable"), ("call_service", "arm/relax#7")]
+        ways += [("send_action_goal", ACTION), ("call_service", "/moveit_goal")]
+        ways += [("call_service", "/arm/enable"), ("call_service", "arm/relax#7")]
         for op, name in ways:
             assert "first has controlled the arm since" in str(asked(second, op, name)), (op, name)
 
@@ -265,8 +268,9 @@ class TestRates:
     def test_goals_beyond_the_rate_are_refused_with_limit_and_setting(self) -> None:
         world = World(goals_per_s=2.0, goal_burst=3)
         authorizer = world.authorizer()
-        for _ in range(3):
-            assert asked(authorizer, "publish", GOAL) is None
+        # Plans count as the goals they are.
+        for op, name, fields in (("publish", GOAL, {}), *[("send_action_goal", ACTION, {"args": PLAN_ONLY})] * 2):
+            assert asked(authorizer, op, name, **fields) is None
         assert asked(authorizer, "send_action_goal", ACTION) == (
             "/move_action: this client sends more than 3 goals at once (access.goal_burst) and 2 a second "
             "(access.goals_per_s)"
@@ -280,11 +284,6 @@ class TestRates:
         for _ in range(10):
             assert asked(authorizer, "publish", "/servo_node/delta_twist_cmds") is None
         assert asked(authorizer, "publish", GOAL) is asked(world.authorizer(), "publish", GOAL) is None
-
-    def test_plans_count_as_the_goals_they_are(self) -> None:
-        authorizer = World(goal_burst=1).authorizer()
-        assert asked(authorizer, "send_action_goal", ACTION, args=PLAN_ONLY) is None
-        assert asked(authorizer, "send_action_goal", ACTION, args=PLAN_ONLY) is not None
 
 
 def test_a_client_that_uses_many_topics_takes_no_more_memory_for_it() -> None:

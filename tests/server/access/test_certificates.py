@@ -49,10 +49,20 @@ def test_the_certificate_has_what_phones_ask_for(files: CertificateFiles) -> Non
 
 def test_the_authority_signs_servers_alone_and_keys_are_of_the_user_alone(files: CertificateFiles) -> None:
     ensure_certificate(files, NAMES, NOW)
-    constraints = of(x509.BasicConstraints, x509.load_pem_x509_certificate(files.authority.read_bytes()))
-    assert constraints.critical
+    authority = x509.load_pem_x509_certificate(files.authority.read_bytes())
+    assert authority.not_valid_after_utc - authority.not_valid_before_utc == timedelta(days=3650)
+    constraints = of(x509.BasicConstraints, authority)
     assert constraints.value == x509.BasicConstraints(ca=True, path_length=0)
+    for certificate, signs in ((authority, True), (leaf(files), False)):
+        usage = of(x509.KeyUsage, certificate)
+        assert constraints.critical is usage.critical is True
+        assert (usage.value.key_cert_sign, usage.value.crl_sign, usage.value.digital_signature) == (
+            signs,
+            signs,
+            not signs,
+        )
     kept = {files.authority_key: 0o600, files.key: 0o600, files.directory: 0o700}
+    kept |= {files.authority: 0o644, files.certificate: 0o644}
     assert [path.name for path in kept][:2] == ["armbridge-authority.key", "server.key"]
     assert {path: stat.S_IMODE(path.stat().st_mode) for path in kept} == kept
 

@@ -4,8 +4,7 @@ from typing import Any
 
 import pytest
 
-from harness.clients import ArmClient, arm_client, values_of
-from harness.server import ServerOnBus
+from harness.clients import values_of
 from server.access.authorization import Access
 from server.access.control_lease import RESERVED_S, ControlLease, ControlServices
 from server.access.settings import AccessSettings
@@ -83,25 +82,18 @@ def test_another_is_told_of_the_goal_that_runs_and_of_those_behind_it(leased: Le
     ) in str(leased.lease.drive(leased.b, 20.0))
 
 
-def test_an_idle_holder_loses_control(leased: Leased) -> None:
+def test_an_idle_holder_loses_control_also_of_one_arm_and_nobody_idles_while_a_goal_is_worked_on(
+    leased: Leased,
+) -> None:
     leased.lease.drive(leased.a, 5.0)
-    assert leased.lease.drive(leased.b, 14.9) is not None
-    assert leased.lease.drive(leased.b, 15.0) is None
-
-
-def test_nobody_idles_while_a_goal_is_worked_on_nor_right_after(leased: Leased) -> None:
     leased.busy = GOAL
     leased.lease.tick(60.0)
     leased.busy = None
-    assert leased.lease.drive(leased.b, 69.9) is not None
-    assert leased.lease.drive(leased.b, 70.0) is None
-
-
-def test_an_idle_holder_of_one_arm_loses_it_to_a_client_that_drives_all() -> None:
-    access = Access(AccessSettings(control_idle_s=10.0), arms={"left": lambda: None, "right": lambda: None})
-    access.leases_of_arms["left"].drive(Node("a", remote=True), 0.0)
-    assert access.lease.drive(Node("b", remote=True), 9.9) is not None
-    assert access.lease.drive(Node("b", remote=True), 10.0) is None
+    several = Access(AccessSettings(control_idle_s=10.0), arms={"left": lambda: None, "right": lambda: None})
+    several.leases_of_arms["left"].drive(leased.a, 60.0)
+    for lease in (leased.lease, several.lease):
+        assert lease.drive(leased.b, 69.9) is not None
+        assert lease.drive(leased.b, 70.0) is None
 
 
 def test_nobody_but_an_admin_by_token_takes_it_from_another(leased: Leased) -> None:
@@ -154,56 +146,39 @@ def world() -> World:
     return World()
 
 
-def test_a_late_subscriber_hears_at_once_that_nobody_has_control(world: World) -> None:
+async def test_subscribers_are_told_at_once_who_has_control_since_when_and_when_it_is_free(world: World) -> None:
+    world.client("a").node.address = "10.0.0.1:5"
     world.watch("late")
     (status,) = world.told("late")
     sentence = "nobody controls the arm; the first who moves it does"
     assert (status["name"], status["hardware_id"], status["message"]) == ("control", "", sentence)
     told = {"holder": "", "address": "", "policy": "lease", "since": "", "idle_s": "0", "free_in_s": ""}
     assert values_of(status) == told
-
-
-def test_the_client_that_takes_control_is_named(world: World) -> None:
-    world.client("a").node.address = "10.0.0.1:5"
-    world.watch("viewer")
-    world.told("viewer")
     assert world.call("a", "/arm/take_control") == {"success": True, "message": "a controls the arm"}
-    (status,) = world.told("viewer")
+    (status,) = world.told("late")
     assert (status["hardware_id"], status["message"]) == ("a", "a controls the arm")
-    told = {"holder": "a", "address": "10.0.0.1:5", "policy": "lease", "since": "", "idle_s": "0", "free_in_s": "10"}
-    assert values_of(status) | {"since": ""} == told
-
-
-async def test_a_client_that_leaves_releases_control_and_others_are_told(world: World) -> None:
-    world.call("a", "/arm/take_control")
-    world.watch("viewer")
-    world.told("viewer")
+    taken = {"holder": "a", "address": "10.0.0.1:5", "policy": "lease", "idle_s": "0", "free_in_s": "10"}
+    values = values_of(status)
+    assert float(values.pop("since")) > 0.0
+    assert values == taken
     await world.close("a")
-    assert world.told("viewer")[-1]["hardware_id"] == ""
+    assert values_of(world.told("late")[-1]) == told
 
 
-async def test_others_see_the_idle_time_until_control_is_free(world: World) -> None:
-    world.call("a", "/arm/take_control")
-    world.watch("viewer")
-    for _ in range(11):
-        await world.advance(1.0)
-    idled = [values_of(status) for status in world.told("viewer")]
-    assert [values["idle_s"] for values in idled[:4]] == ["0", "1", "2", "3"]
-    assert idled[-1]["holder"] == ""
-
-
-async def test_the_time_until_control_is_free_includes_that_of_the_goal(world: World) -> None:
-    world.watch("viewer")
+async def test_each_second_tells_the_idle_time_of_a_holder_until_control_is_free(world: World) -> None:
     world.busy = GOAL
     world.call("a", "/arm/take_control")
-    assert values_of(world.told("viewer")[-1])["free_in_s"] == "43"
-
-
-async def test_no_beat_comes_after_the_end(world: World) -> None:
-    world.call("a", "/arm/take_control")
-    world.control.close()
     world.watch("viewer")
+    assert values_of(world.told("viewer")[-1])["free_in_s"] == "43"
+    world.busy = None
+    for _ in range(12):
+        await world.advance(1.0)
+    idled = [values_of(status) for status in world.told("viewer")]
+    assert [values["idle_s"] for values in idled] == [*map(str, range(1, 10)), "0"]
+    assert [values["holder"] for values in idled] == ["a"] * 9 + [""]
+    world.call("a", "/arm/take_control")
     world.told("viewer")
+    world.control.close()
     await world.advance(5.0)
     assert world.told("viewer") == []
 
@@ -219,29 +194,3 @@ def test_a_client_is_told_what_it_is_called_and_what_it_may_do(world: World) -> 
     answered = world.call("a", "/arm/who_am_i")
     told = {"name": "a", "address": "10.0.0.1:5", "role": "admin", "version": metadata.version("armbridge")}
     assert json.loads(answered["message"]) == told
-
-
-async def test_over_sockets_one_drives_others_are_told_and_anyone_stops(client: ArmClient, served: ServerOnBus) -> None:
-    async with arm_client(served.server.url) as other:
-        for each in (client, other):
-            await each.say("subscribe", topic="/moveit_goal_result", type="moveit_msgs/MoveItErrorCodes")
-        # Another test may have left the arm at either place.
-        turned = (await client.until("/joint_states", bool))[-1]["position"][0] > 0.0
-        goal = {"name": ["shoulder_pan"], "position": [-1.2 if turned else 1.2]}
-        # The motion lasts for all that follows, however busy the machine is.
-        await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.02})
-        await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", goal)
-        await client.until_mode("moving")
-
-        await other.goal("/moveit_goal_named", "std_msgs/String", {"data": "home"})
-        refused = (await other.until("/moveit_goal_result", bool))[0]
-        assert refused["val"] == -4
-        assert "has controlled the arm since" in refused["message"]
-        action = await other.send_goal("/move_action", "moveit_msgs/action/MoveGroup", {})
-        assert "has controlled the arm since" in (await other.result(action))["values"]
-        assert not (await other.call("/arm/release_control"))["success"]
-
-        await other.goal("/stop", "std_msgs/Empty", {})
-        stopped = (await client.until("/moveit_goal_result", bool))[0]
-        await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 1.0})
-        assert (stopped["val"], "/stop" in stopped["message"]) == (-7, True)

@@ -10,6 +10,7 @@ import pytest
 
 from robot.calibration import Calibration, save
 from robot.emulator.plant import HAND_TICKS_S
+from robot.emulator.process import sweep
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end
@@ -87,6 +88,15 @@ def test_a_sweep_by_hand_becomes_a_file_and_a_mirrored_gripper_is_found(armbridg
     assert "Now open the gripper" in answer.stderr
     assert "gripper is mirrored" in answer.stderr
     assert joints[-1].drive_mode == 1
+
+
+def test_an_arm_that_a_rehearsed_hand_sweeps_is_calibrated_with_its_true_ranges(armbridge, emulator, person, tmp_path):
+    # The person looks on for half a minute.
+    deeds = person([*[{}] * 10, "", ""])
+    for timed in sweep(nominal_calibration()):
+        emulator.command_later(timed.at_s, **timed.command)
+    _, joints = calibrated(armbridge, deeds, tmp_path / "arm.json", "--yes", "--no-directions")
+    assert {joint.servo_id: (joint.range_min, joint.range_max) for joint in joints} == STOPS
 
 
 def test_on_request_the_servos_get_what_the_file_says(armbridge, person, bus, tmp_path):

@@ -134,13 +134,10 @@ def test_episodes_say_where_their_frames_are(dataset: Path) -> None:
     assert np.shape(second[f"stats/{KEY}/mean"]) == (3, 1, 1)
 
 
-def test_tasks_are_found_by_the_index_that_pandas_has_written(dataset: Path) -> None:
+def test_tasks_are_found_by_the_index_of_pandas_and_statistics_are_of_all_frames(dataset: Path) -> None:
     table = parquet.read_table(dataset / "meta/tasks.parquet")
     assert table.to_pydict() == {"task_index": [0, 1], "task": ["pick the cube", "drop it"]}
     assert json.loads(table.schema.metadata[b"pandas"])["index_columns"] == ["task"]
-
-
-def test_statistics_are_of_all_frames(dataset: Path) -> None:
     told = json.loads((dataset / "meta/stats.json").read_text())
     states_, of_states = column(dataset, "observation.state"), told["observation.state"]
     assert of_states["mean"] == pytest.approx(states_.mean(axis=0))

@@ -257,14 +257,11 @@ async def test_an_arm_whose_process_is_started_again_is_paused_again_until_time_
     assert stage.arm.pauses[2:] == [PauseSimulation(paused=False)]
 
 
-async def test_every_service_needs_the_role_operate(stage: Stage) -> None:
+async def test_services_need_the_role_operate_and_steps_a_pause_and_come_one_after_the_other(stage: Stage) -> None:
     rules = stage.graph.services.rules
     assert {name for name, rule in rules.items() if rule == Rule(Role.OPERATE)} == {
         f"/simulation/{name}" for name in ("set_body", "set_pose", "reset", "pause", "step")
     }
-
-
-async def test_steps_need_a_pause_and_come_one_call_after_the_other(stage: Stage) -> None:
     passes = "the time of the simulation passes: call /simulation/pause with true first"
     assert await stage.answer("/simulation/step", steps=1) == (False, passes)
     stage.report(ticks=0)

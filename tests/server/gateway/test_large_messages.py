@@ -2,7 +2,9 @@
 
 import asyncio
 import contextlib
+import time
 from collections.abc import AsyncIterator, Callable
+from types import SimpleNamespace
 
 import pytest
 from websockets.asyncio.client import ClientConnection, connect
@@ -100,6 +102,37 @@ async def test_a_message_that_was_encoded_for_longer_than_it_may_wait_is_sent(mo
         reader = await world.reader()
         world.publish(1, 3_000_000)
         assert await numbers(reader, 1) == [0]
+
+
+async def test_a_slow_reader_of_one_large_message_keeps_the_messages_behind_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    ahead_s, looks = [0.0], []
+    check = connection.Connection._check_reading
+
+    def look(self: connection.Connection, taken_bytes: int, since_s: float) -> None:
+        looks.append(since_s)
+        check(self, taken_bytes, since_s)
+
+    monkeypatch.setattr(connection, "time", SimpleNamespace(monotonic=lambda: time.monotonic() + ahead_s[0]))
+    monkeypatch.setattr(connection, "UNREAD_TIMEOUT_S", 60.0)
+    monkeypatch.setattr(connection, "LOOKS", 6000)
+    monkeypatch.setattr(connection.Connection, "_check_reading", look)
+    async with world_with(Limits(max_topic_delay_s=60.0)) as world:
+        reader = await world.deaf()
+        world.publish(1, 30_000_000)
+        await until(lambda: world.listener.traffic.counts().sent_messages > 0)
+        world.publish(3, 1000)
+        receiving = asyncio.create_task(numbers(reader, 4))
+        # Two minutes, of which a message may wait one with a client that stands still: it reads a piece at a time.
+        for _ in range(8):
+            ahead_s[0] += 15.0
+            reader.transport.resume_reading()
+            for _ in range(3):
+                await asyncio.sleep(0)  # turns of the loop, in which it reads
+            reader.transport.pause_reading()
+            looks.clear()
+            await until(lambda: looks)
+        reader.transport.resume_reading()
+        assert await receiving == [0, 0, 1, 2]
 
 
 async def test_a_client_that_stands_still_gives_its_memory_back_though_nothing_more_comes() -> None:

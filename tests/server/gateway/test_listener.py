@@ -233,14 +233,11 @@ async def listener() -> AsyncIterator[Listener]:
         yield made
 
 
-async def test_an_address_that_others_reach_is_not_even_bound_without_a_word_about_it() -> None:
+async def test_the_listener_tells_where_it_is_and_binds_no_address_that_others_reach_without_a_word() -> None:
     listener = Listener(Graph(REGISTRY), ServerSettings(host="0.0.0.0", port=0))
     with pytest.raises(ConfigurationError, match="--insecure"):
         await listener.bind()
     assert listener.port == 0
-
-
-async def test_the_listener_tells_where_it_is() -> None:
     for host in ("127.0.0.1", "localhost"):
         listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0))
         await listener.bind()

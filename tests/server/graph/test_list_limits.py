@@ -67,12 +67,9 @@ def test_numbers_and_texts_count_as_values(count: int) -> None:
     assert bool(refused) == (count > MAX_VALUES)
 
 
-def test_what_does_not_fit_its_type_is_left_to_the_completion() -> None:
+def test_what_does_not_fit_its_type_is_left_to_the_completion_and_a_message_counted_once() -> None:
     for message in (None, 3, "a", {"request": 3}, {"request": {"items": {"a": 1}}}, {"other": [{}] * 9}):
         assert refusal(ListLimits({ITEMS: 2}), message) == ""
-
-
-def test_a_message_of_a_client_is_counted_once() -> None:
     check = ListLimits({ITEMS: 2}).check(REGISTRY, f"{SEQUENCE}_Request")
     fits, exceeds = (ReceivedMessage({"request": {"items": [{}] * count}}, 100) for count in (2, 3))
     check(fits)

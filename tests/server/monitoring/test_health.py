@@ -253,14 +253,11 @@ WATCHED: list[tuple[dict[str, str], float]] = [
 ]
 
 
-def test_the_watchdog_is_for_the_named_process(systemd: Systemd) -> None:
+def test_the_watchdog_is_of_one_process_and_no_child(systemd: Systemd, monkeypatch: pytest.MonkeyPatch) -> None:
     for variables, watchdog_s in WATCHED:
         notifier = SystemdNotifier.from_environment({"NOTIFY_SOCKET": systemd.address, **variables}, 7)
         assert notifier.watchdog_s == watchdog_s, variables
         notifier.close()
-
-
-def test_children_do_not_inherit_the_variables(monkeypatch: pytest.MonkeyPatch, systemd: Systemd) -> None:
     variables = {"NOTIFY_SOCKET": systemd.address, "WATCHDOG_USEC": "1", "WATCHDOG_PID": str(os.getpid())}
     for name, value in variables.items():
         monkeypatch.setenv(name, value)

@@ -91,11 +91,7 @@ class Collections(CollectorPolicy):
 
     def __init__(self) -> None:
         super().__init__()
-        self.made = 0
-
-    @property
-    def overdue(self) -> bool:
-        return True
+        self.made, self.overdue = 0, True
 
     def collect_all(self) -> None:
         self.made += 1

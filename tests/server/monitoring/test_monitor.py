@@ -197,16 +197,13 @@ def test_each_part_is_counted_by_what_it_does() -> None:
     assert {name: found.get(f"armbridge_{name}") for name in OF_ARM} == OF_ARM
 
 
-def test_the_arms_mode_and_fault_are_ones_among_zeros() -> None:
+def test_the_arms_mode_and_fault_are_ones_among_zeros_and_an_ideal_arm_has_fewer_metrics() -> None:
     found = samples(parts.arm_metrics(WatchedArm(arm_state(Mode.FAULT, FaultCode.OVERHEATED), 0.25)))
     assert [name[1:] for name, value in found.items() if value == 1] == [("fault",), ("overheated",)]
     assert len(found) == len(Mode) + len(FaultCode) + 1
     assert found["armbridge_arm_state_age_seconds",] == 0.25
     sound = samples(parts.arm_metrics(WatchedArm(arm_state())))
     assert {value for (name, *_), value in sound.items() if name == "armbridge_arm_fault"} == {0}
-
-
-def test_an_ideal_arm_has_no_metrics_of_what_it_does_not_have() -> None:
     servos, nan = arm_health(), float("nan")
     joints = tuple(replace(joint, temperature_c=nan, voltage_v=nan, current_a=nan) for joint in servos.joints)
     found = samples(parts.arm_health_metrics(replace(servos, bus=None, joints=joints, real_time_factor=0.5)))

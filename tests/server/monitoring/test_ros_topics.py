@@ -248,14 +248,11 @@ async def test_a_bad_log_level_is_refused_by_field_and_value(graph: Graph, name:
     assert other["successful"]
 
 
-async def test_loggers_without_end_are_refused(graph: Graph) -> None:
+async def test_loggers_without_end_and_more_than_all_are_refused(graph: Graph) -> None:
     names = [f"armbridge.many.l{number}" for number in range(changed.MAX_CHANGED_LOGGERS + 1)]
     results = call(graph, SET_LEVELS, levels=[{"name": name, "level": 0} for name in names])["results"]
     assert [each["successful"] for each in results].count(False) == 1
     assert f"{changed.MAX_CHANGED_LOGGERS} loggers" in results[-1]["reason"]
-
-
-async def test_more_than_all_loggers_are_refused_at_once(graph: Graph) -> None:
     for service, field, entry in ((GET_LEVELS, "names", "armbridge"), (SET_LEVELS, "levels", {})):
         response = answered(graph, service, **{field: [entry] * (MAX_REQUESTED + 1)})
         wanted = f"wanted at most {MAX_REQUESTED} elements in all, got {MAX_REQUESTED + 1}"

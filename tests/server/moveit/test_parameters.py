@@ -12,19 +12,16 @@ def parameters() -> PlannerParameters:
     return PlannerParameters(CONFIGURED)
 
 
-def test_parameters_of_a_planner_override_those_of_its_group_and_those_of_all(parameters: PlannerParameters) -> None:
+def test_parameters_of_a_planner_override_others_and_an_invalid_value_changes_nothing(parameters) -> None:
+    for key, value in (("planner_id", "CHOMP"), ("allowed_planning_time", "0"), ("joint_tolerance", "x")):
+        with pytest.raises(ServiceError, match=key):
+            parameters.set("arm", "", {key: value}, replace=False)
+        assert parameters.of("arm") == CONFIGURED, key
     for group, planner, attempts in (("", "", 2), ("arm", "", 3), ("arm", "RRT", 4)):
         parameters.set(group, planner, {"num_planning_attempts": str(attempts)}, replace=False)
     assert parameters.of("gripper").num_planning_attempts == 2
     assert parameters.of("arm", "RRTstar").num_planning_attempts == 3
     assert parameters.of("arm", "RRT").num_planning_attempts == 4
-
-
-def test_an_invalid_value_is_refused_by_its_key_and_changes_nothing(parameters) -> None:
-    for key, value in (("planner_id", "CHOMP"), ("allowed_planning_time", "0"), ("joint_tolerance", "x")):
-        with pytest.raises(ServiceError, match=key):
-            parameters.set("arm", "", {key: value}, replace=False)
-        assert parameters.of("arm") == CONFIGURED, key
 
 
 def test_the_number_of_parameters_is_bounded(parameters: PlannerParameters) -> None:

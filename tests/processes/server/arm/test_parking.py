@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from harness.clients import ArmClient, arm_client
+from harness.clients import ArmClient, arm_client, publish
 from harness.server import FAST_ARMS, RunningServer, read_write_log
 from harness.waiting import TIMEOUT_S, wait_until
 from robot.description.robot_folder import built_in
@@ -19,6 +19,9 @@ from tests.helpers.resources import runs
 from tests.server.conftest import JOINTS
 
 REST = built_in("so101").model.named_states["arm"]["rest"]
+
+# Speed factor with which the way to the rest pose lasts longer than any test is late.
+SLOW = 0.05
 
 # A relaxed elbow sinks until its stop holds it.
 SINK_RAD = 0.1
@@ -94,9 +97,13 @@ def parking(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Parked]:
 
 
 async def begin_to_move(client: ArmClient) -> None:
-    """Return on the way from where every joint is at 0, which takes seconds: on a busy machine it is told late."""
-    await client.goal("/arm/speed_factor", "std_msgs/Float64", {"data": 0.3})
-    await client.goal("/moveit_goal_joints", "sensor_msgs/JointState", {"name": ["shoulder_pan"], "position": [1.5]})
+    """Return on the way from where every joint is at 0, so slowly that it lasts however late the test goes on.
+
+    The speed is that of the goal: parking has its own.
+    """
+    goal = {"joint_constraints": [{"joint_name": "shoulder_pan", "position": 1.5}]}
+    request = {"group_name": "arm", "goal_constraints": [goal], "max_velocity_scaling_factor": 0.03}
+    await client.send_goal("/move_action", "moveit_msgs/action/MoveGroup", {"request": request})
     await client.until("/joint_states", lambda states: states[-1]["position"][0] > 0.1)
 
 
@@ -118,6 +125,7 @@ async def test_an_orderly_end_parks_from_wherever_the_arm_comes_to_rest(parking:
 
 def test_a_second_signal_has_the_arm_relaxed_instead(parking: Parked) -> None:
     parking.until_known()
+    publish(parking.server.url, "/arm/speed_factor", "std_msgs/Float64", {"data": SLOW})
     parking.server.process.send_signal(signal.SIGINT)
     assert parking.server.has_logged("the arm moves to its rest pose")
     assert parking.server.end(signal.SIGINT)[0] == 0
@@ -130,10 +138,12 @@ async def test_a_scene_in_which_there_is_no_way_has_the_arm_relaxed_where_it_is(
     parking.until_known()
     async with arm_client(parking.server.url) as client, arm_client(parking.server.url) as other:
         # A stop keeps the arm from being relaxed.
+        await client.set_speed(SLOW)
         call = asyncio.create_task(client.call("/arm/park"))
         await client.until_mode("moving")
         await other.call("/arm/stop")
         assert not (await call)["success"]
+        await client.set_speed(1.0)
         await client.until_mode("holding")
         await client.goal("/moveit_goal_named", "std_msgs/String", {"data": "home"})
         await client.until("/moveit_goal_result", lambda results: results[-1]["val"] == 1)

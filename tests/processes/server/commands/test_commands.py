@@ -12,9 +12,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import IO
 
 import psutil
 import pytest
@@ -22,13 +20,14 @@ import pytest
 from harness.clients import ArmClient, arm_client
 from harness.server import RunningServer, free_port, read_write_log
 from harness.waiting import TIMEOUT_S, running, until
-from robot.calibration import Calibration, save
+from planners.shared_pool import LONGEST_PLANNING_S
+from robot.calibration import save
 from server import cli
 from server.commands.terminal import ExitCode
 from tests.helpers.classroom import Room
 from tests.helpers.programs import run
 from tests.helpers.resources import is_open
-from tests.helpers.robots import SO101_SERVOS, nominal_calibration
+from tests.helpers.robots import nominal_calibration
 from tests.server.commands.conftest import Run
 
 STUDENTS = 3
@@ -52,7 +51,9 @@ async def wave(client: ArmClient, y: float) -> int:
             "primitive_poses": [{"position": {"x": 0.6, "y": y, "z": 1.0}, "orientation": {"w": 1.0}}],
         },
     }
-    request = {"group_name": "arm", "goal_constraints": [{"position_constraints": [constraint]}]}
+    goal = {"position_constraints": [constraint]}
+    # The longest that a classroom allows: a planner may get its turn late.
+    request = {"group_name": "arm", "goal_constraints": [goal], "allowed_planning_time": LONGEST_PLANNING_S}
     goal_id = await client.send_goal("/move_action", "moveit_msgs/action/MoveGroup", {"request": request})
     code: int = (await client.result(goal_id))["values"]["error_code"]["val"]
     return code
@@ -82,6 +83,7 @@ async def test_a_server_that_dies_comes_back_and_nobody_else_notices(room: Room)
     async with arm_client(room.url("student01")) as other:
         neighbour, dies = room.server("student01"), room.server("student02")
         dies.kill()
+        await asyncio.to_thread(dies.wait, TIMEOUT_S)
         assert await wave(other, 0.2) == 1
         await until(lambda: is_open(room.port("student02")))
         assert room.server("student01") == neighbour
@@ -109,53 +111,11 @@ def test_a_port_in_use_is_named_before_anything_starts(tmp_path: Path, capsys: p
     assert not (tmp_path / "class").exists()
 
 
-NOMINAL = nominal_calibration()
-
-
-def armbridge(*arguments: str) -> AbstractContextManager[subprocess.Popen[str]]:
-    """Run a command of armbridge at a terminal of its own."""
-    pipe = subprocess.PIPE
-    return running([sys.executable, "-m", "server.cli", *arguments], stdin=pipe, stdout=pipe, stderr=pipe)
-
-
-def read_until(stream: IO[str] | None, words: str) -> None:
-    assert stream is not None
-    said = []
-    for line in stream:
-        said.append(line)
-        if words in line:
-            return
-    raise AssertionError("".join(said))
-
-
-def press_enter(process: subprocess.Popen[str]) -> None:
-    assert process.stdin is not None
-    process.stdin.write("\n")
-    process.stdin.flush()
-
-
-def test_an_arm_that_a_rehearsed_hand_sweeps_is_calibrated_with_its_true_ranges(tmp_path: Path) -> None:
-    file, link = tmp_path / "arm.json", tmp_path / "arm"
-    with armbridge("emulate", "--rehearse", "sweep", "--link", str(link)) as emulator:
-        read_until(emulator.stdout, "/dev/")
-        with armbridge("calibrate", str(file), "--serial", str(link), "--yes", "--no-directions") as person:
-            read_until(person.stderr, "Move every joint")
-            read_until(emulator.stderr, '"1": null')
-            press_enter(person)
-            read_until(person.stderr, "Turn wrist roll to the middle")
-            press_enter(person)
-            told, said = person.communicate(timeout=TIMEOUT_S)
-    assert person.returncode == ExitCode.DONE, said
-    calibration = Calibration.load(file, SO101_SERVOS)
-    for joint, nominal in zip(calibration.joints, NOMINAL.joints, strict=True):
-        assert (joint.range_min, joint.range_max) == pytest.approx((nominal.range_min, nominal.range_max), abs=3)
-        assert str(joint.range_max) in told
-
-
 def test_ctrl_c_ends_a_replay_that_still_reads_its_file(tmp_path: Path) -> None:
     pipe = tmp_path / "endless.mcap"
     os.mkfifo(pipe)
-    with armbridge("replay", str(pipe), "--port", "0") as replay, pipe.open("wb"):
+    command = [sys.executable, "-m", "server.cli", "replay", str(pipe), "--port", "0"]
+    with running(command, stderr=subprocess.DEVNULL) as replay, pipe.open("wb"):
         replay.send_signal(signal.SIGINT)
         assert replay.wait(TIMEOUT_S) == ExitCode.FAILED
 

@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 
 from harness.server import RunningServer as Server
-from harness.waiting import wait_until
+from harness.waiting import TIMEOUT_S, wait_until
 from server import cli
 from server.commands.terminal import ExitCode
 from server.config import Settings
+from server.monitoring import report
 from server.monitoring.report import Redactor, Report, RunningServer
 from tests.processes.server.commands.test_commands import members
 
@@ -17,8 +18,17 @@ TOKEN = "one-0123456789abcdef"
 VIEW_TOKEN = "two-0123456789abcdef"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def patience() -> Iterator[None]:
+    """Wait for the answers of a server however busy the machine is."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("TIMEOUT_S", "DIAGNOSTICS_TIMEOUT_S"):
+            patch.setattr(report, name, TIMEOUT_S)
+        yield
+
+
 @pytest.fixture(scope="module")
-def port() -> Iterator[int]:
+def port(patience: None) -> Iterator[int]:
     """The port of a server with tokens, whose servos have told their health."""
     tokens = {"ARMBRIDGE_ACCESS__TOKEN": TOKEN, "ARMBRIDGE_ACCESS__VIEW_TOKENS": json.dumps({"screen": VIEW_TOKEN})}
     with Server(settings=tokens) as running:
@@ -29,9 +39,9 @@ def port() -> Iterator[int]:
 
 def told_by(port: int, token: str | None) -> dict[str, str]:
     """The members that a server adds to a report of somebody."""
-    report = Report(Redactor([], Path("/nobody")))
-    RunningServer(settings(port), token).add_to(report)
-    return members(io.BytesIO(report.archive()))
+    told = Report(Redactor([], Path("/nobody")))
+    RunningServer(settings(port), token).add_to(told)
+    return members(io.BytesIO(told.archive()))
 
 
 def settings(port: int) -> Settings:

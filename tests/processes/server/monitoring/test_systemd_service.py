@@ -57,6 +57,7 @@ def test_a_signal_to_all_processes_changes_the_level_and_ends_none(service: Runn
 def test_every_line_of_the_log_is_json_and_systemd_hears_that_the_server_ends(
     service: RunningServer, systemd: Systemd
 ) -> None:
+    assert service.has_logged("robot.control.loop")
     lines = [json.loads(line) for line in list(service.lines)]
     assert {line["process"] for line in lines} >= {"server", "robot.control.loop"}
     assert {"time", "level", "logger", "message", "process", "pid"} <= set.intersection(*(set(line) for line in lines))

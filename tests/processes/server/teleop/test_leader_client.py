@@ -10,8 +10,9 @@ from pathlib import Path
 from harness.clients import ArmClient
 from harness.server import ROOT, EmulatorControl, ServerOnBus, free_port
 from harness.waiting import TIMEOUT_S, running
-from server.teleop.teleoperation import START, STATE_TOPIC
+from server.teleop.teleoperation import STATE_TOPIC
 from tests.helpers.robots import nominal_calibration
+from tests.helpers.teleop import follow, led
 
 TOPIC = "/leader/joint_states"
 
@@ -33,15 +34,12 @@ async def test_an_arm_follows_a_leader_at_another_machine_and_holds_when_it_is_g
         EmulatorControl(tmp_path / "control").command(hand=hand)
 
     async def elbow_at(position_rad: float) -> None:
-        async with asyncio.timeout(TIMEOUT_S):
-            while abs((await client.positions())["elbow_flex"] - position_rad) > 0.1:
-                pass
+        await led(client, lambda now: abs(now["elbow_flex"] - position_rad) < 0.1, follower="", leader=TOPIC)
 
     with leader(f"ws://127.0.0.1:{served.server.port}", tmp_path / "control") as process:
         await client.until(TOPIC, bool)
         await asyncio.to_thread(lead, 0.4)
-        answer = await client.call(START, follower="", leader=TOPIC)
-        assert answer["success"], answer
+        await follow(client, "/teleop", follower="", leader=TOPIC)
         await elbow_at(0.4)
         await asyncio.to_thread(lead, -0.2)
         await elbow_at(-0.2)

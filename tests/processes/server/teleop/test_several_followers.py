@@ -1,6 +1,5 @@
 """Two followers of one leader: each has its own beginning, clutch and end."""
 
-import asyncio
 from collections.abc import AsyncIterator
 from pathlib import Path
 
@@ -8,8 +7,7 @@ import pytest
 
 from harness.clients import ArmClient, arm_client
 from harness.server import EmulatorControl, RunningServer
-from harness.waiting import TIMEOUT_S
-from tests.helpers.teleop import follow
+from tests.helpers.teleop import follow, led
 
 CONFIG = """
 [server]
@@ -55,25 +53,16 @@ async def both_follow(client: ArmClient) -> None:
         await follow(client, f"/{arm}/teleop", leader="leader")
 
 
-async def rolled(client: ArmClient, *arms: str, least_rad: float) -> None:
-    """Wait until the wrists of some arms are turned so far; a following that late planners ended begins again."""
-    async with asyncio.timeout(TIMEOUT_S):
-        while True:
-            now = await client.positions()
-            late = [arm for arm in arms if now[f"{arm}_wrist_roll"] < least_rad]
-            if not late:
-                return
-            for arm in late:
-                state = client.topics[f"/{arm}/teleop/state"][-1]
-                if state["phase"] == "idle":
-                    assert "has not set out for the leader" in state["message"], state["message"]
-                    await follow(client, f"/{arm}/teleop", leader="leader")
+async def rolled(client: ArmClient, *arms: str) -> None:
+    """Wait until the wrists of some arms are turned."""
+    for arm in arms:
+        await led(client, lambda now, arm=arm: now[f"{arm}_wrist_roll"] >= 0.4, f"/{arm}/teleop", leader="leader")
 
 
 async def test_two_arms_follow_one_leader_at_the_same_time(client: ArmClient, folder: Path) -> None:
     await both_follow(client)
     EmulatorControl(folder / "leader").command(hand={"5": MIDDLE_TICK + 300})
-    await rolled(client, "left", "right", least_rad=0.4)
+    await rolled(client, "left", "right")
     targets = await client.until(TARGETS, lambda told: len(told[-1]["name"]) == 12)
     assert {name.split("_")[0] for name in targets[-1]["name"]} == {"left", "right"}
 
@@ -84,7 +73,7 @@ async def test_an_end_of_one_following_lets_the_other_go_on(client: ArmClient, f
     assert ended["message"] == "left follows no more"
     assert await phase_is(client, "left", "idle") == "stopped by a client"
     EmulatorControl(folder / "leader").command(hand={"5": MIDDLE_TICK + 300})
-    await rolled(client, "right", least_rad=0.4)
+    await rolled(client, "right")
     await phase_is(client, "right", "following")
     assert not (await client.call("/left/teleop/stop"))["success"]
 

@@ -166,11 +166,17 @@ def servos(dynamixels: SteppedDynamixels) -> DynamixelsInUse:
     return DynamixelsInUse(dynamixels)
 
 
-def test_supply_and_temperature_are_read_less_often(servos: DynamixelsInUse) -> None:
-    servos.emulator.servo(3).voltage_v = 5.6
+def test_supply_and_temperature_are_read_less_often_and_an_assumed_calibration_has_no_homing_offsets(
+    dynamixels: SteppedDynamixels,
+) -> None:
+    servos = DynamixelsInUse(dynamixels, replace(METAL, calibration=replace(CALIBRATION, offsets_known=False)))
+    dynamixels.servo(3).voltage_v = 5.6
     readings = [servos.read().voltage_v[2] for _ in range(2 * TELEMETRY_EVERY)]
-    assert readings[0] == pytest.approx(5.0)
-    assert readings[-1] == pytest.approx(5.6)
+    assert (readings[0], readings[-1]) == pytest.approx((5.0, 5.6))
+    dynamixels.servo(3).set(Register.HOMING_OFFSET, -1690)
+    run_to_end(servos.hardware.survey())
+    with pytest.raises(StartupError, match=r"-1690 instead of -1700 ticks"):
+        servos.enable()
 
 
 def test_an_uncalibrated_arm_that_is_found_holding_goes_on_holding(dynamixels: SteppedDynamixels) -> None:
@@ -185,22 +191,17 @@ def test_an_uncalibrated_arm_that_is_found_holding_goes_on_holding(dynamixels: S
     assert positions(dynamixels) == pytest.approx(before, abs=DROOP_TICKS)
 
 
-def test_an_assumed_calibration_has_servos_without_homing_offsets(dynamixels: SteppedDynamixels) -> None:
-    servos = DynamixelsInUse(dynamixels, replace(METAL, calibration=replace(CALIBRATION, offsets_known=False)))
-    dynamixels.servo(3).set(Register.HOMING_OFFSET, -1690)
-    run_to_end(servos.hardware.survey())
-    with pytest.raises(StartupError, match=r"-1690 instead of -1700 ticks"):
-        servos.enable()
-
-
-@pytest.mark.parametrize(("bits", "code"), [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED)])
+@pytest.mark.parametrize(
+    ("bits", "code"),
+    [(0x20, FaultCode.OVERLOAD), (0x04, FaultCode.OVERHEATED), (0x08, FaultCode.ENCODER_ERROR)],
+)
 def test_a_servo_that_protected_itself_is_reset(dynamixels: SteppedDynamixels, bits: int, code: FaultCode) -> None:
     rig = DynamixelRig(dynamixels).started()
     rig.run(1.0)
     dynamixels.servo(3).fail(bits)
     rig.until_mode(Mode.FAULT)
     assert rig.fault_code == code.value
-    # The rest of the arm is relaxed by itself.
+    # The rest of the arm is relaxed by itself, except after an error of an encoder.
     rig.run(3.0)
     answer = rig.order(Order.RESET_FAULT)
     assert answer.done, answer.message
@@ -212,7 +213,9 @@ def test_a_servo_that_protected_itself_is_reset(dynamixels: SteppedDynamixels, b
     assert dynamixels.servo(3).value(Register.GOAL_PWM) == round(0.8 * FULL_PWM)
 
 
-def test_servos_stop_by_themselves_when_the_host_dies_and_not_while_it_reads_or_writes(servos: DynamixelsInUse) -> None:
+def test_servos_stop_by_themselves_when_the_host_dies_but_not_while_it_reads_or_writes(servos: DynamixelsInUse) -> None:
+    servos.hardware.close()
+    assert servos.emulator.writes() == 0
     servos.enable()
     servos.hold_for(2.0)
     assert -1 not in servos.emulator.registers(Register.BUS_WATCHDOG)
@@ -223,7 +226,13 @@ def test_servos_stop_by_themselves_when_the_host_dies_and_not_while_it_reads_or_
     assert servos.emulator.registers(Register.BUS_WATCHDOG) == [-1] * 6
     assert servos.read().position_rad[0] == pytest.approx(stopped_rad, abs=0.05)
     assert stopped_rad < 1.4
+    # Closing leaves them holding without a watchdog.
+    servos.hardware.close()
     assert servos.emulator.registers(Register.TORQUE_ENABLE) == [1] * 6
+    assert servos.emulator.registers(Register.BUS_WATCHDOG) == [0] * 6
+    # A lost port is no error.
+    servos.emulator.port.unplug()
+    servos.hardware.close()
 
 
 def test_a_servo_that_was_stopped_alone_is_a_fault_that_can_be_reset(dynamixels: SteppedDynamixels) -> None:
@@ -236,18 +245,6 @@ def test_a_servo_that_was_stopped_alone_is_a_fault_that_can_be_reset(dynamixels:
     rig.run(3.0)
     assert rig.mode is Mode.HOLDING
     assert -1 not in dynamixels.registers(Register.BUS_WATCHDOG)
-
-
-def test_closing_leaves_driven_servos_holding_without_a_watchdog_and_others_alone(servos: DynamixelsInUse) -> None:
-    servos.hardware.close()
-    assert servos.emulator.writes() == 0
-    servos.enable()
-    servos.hardware.close()
-    assert servos.emulator.registers(Register.TORQUE_ENABLE) == [1] * 6
-    assert servos.emulator.registers(Register.BUS_WATCHDOG) == [0] * 6
-    # A lost port is no error.
-    servos.emulator.port.unplug()
-    servos.hardware.close()
 
 
 @pytest.fixture
@@ -312,19 +309,17 @@ def test_packets_are_those_of_the_manual() -> None:
 
 
 @given(st.integers(0, 252), st.sampled_from([1, 2, 3, 8, 0x82, 0x83]), st.binary(max_size=60))
-def test_the_sdk_sends_what_is_built_here(servo_id: int, code: int, parameters: bytes) -> None:
-    if b"\xff\xff\xfd" in parameters:
-        return
-    line = ScriptedPort(lambda _instruction: [], DYNAMIXEL)
-    assert PacketHandler(2.0).txPacket(line, instruction_packet(servo_id, code, parameters)) == COMM_SUCCESS
-    (heard,) = InstructionParser(DYNAMIXEL).feed(packet(servo_id, code, parameters), 0.0)
-    assert line.instructions == [heard] == [Instruction(servo_id, code, parameters)]
-
-
-def test_what_the_sdk_would_send_without_its_stuffed_byte_or_cut_off_is_refused() -> None:
-    for parameters, words in (([116, 0, 0xFF, 0xFF, 0xFD, 0xFF], "FF FF FD"), ([0] * 1015, "1024")):
+def test_the_sdk_sends_what_is_built_here_unless_it_lacks_a_stuffed_byte_or_is_cut_off(
+    servo_id: int, code: int, parameters: bytes
+) -> None:
+    if b"\xff\xff\xfd" not in parameters:
+        line = ScriptedPort(lambda _instruction: [], DYNAMIXEL)
+        assert PacketHandler(2.0).txPacket(line, instruction_packet(servo_id, code, parameters)) == COMM_SUCCESS
+        (heard,) = InstructionParser(DYNAMIXEL).feed(packet(servo_id, code, parameters), 0.0)
+        assert line.instructions == [heard] == [Instruction(servo_id, code, parameters)]
+    for refused, words in (([116, 0, 0xFF, 0xFF, 0xFD, 0xFF], "FF FF FD"), ([0] * 1015, "1024")):
         with pytest.raises(ValueError, match=words):
-            instruction_packet(1, INST_WRITE, parameters)
+            instruction_packet(1, INST_WRITE, refused)
 
 
 # Bytes that have headers, and almost headers, among them.
@@ -342,12 +337,14 @@ def test_any_data_arrives_as_they_were_sent_and_have_no_header_but_the_packets(d
 REPLIES = b"".join(DYNAMIXEL.status_packet(servo, 0, bytes([servo] * 4)) for servo in (1, 2, 3))
 
 
-def test_a_damaged_byte_never_changes_a_reading() -> None:
+def test_a_damaged_byte_never_changes_a_reading_and_only_whole_replies_of_those_asked_are_believed() -> None:
     for at, flip in itertools.product(range(len(REPLIES)), (0x01, 0x80, 0xFF)):
         damaged = REPLIES[:at] + bytes([REPLIES[at] ^ flip]) + REPLIES[at + 1 :]
         frames = parse_status_frames(damaged, (1, 2, 3), 4)
         assert frames, (at, flip)
         assert all(frame == StatusFrame(servo, 0, bytes([servo] * 4)) for servo, frame in frames.items()), (at, flip)
+    for name, (received, believed) in STREAMS.items():
+        assert set(parse_status_frames(received, (1, 2), 2)) == believed, name
 
 
 def reply(servo: int, data: bytes = b"ab") -> bytes:
@@ -361,8 +358,3 @@ STREAMS = {
     "the host's own instruction": (packet(1, INST_WRITE, b"abc"), set()),
     **{f"cut off after {end} bytes": (reply(1)[:end], set()) for end in range(len(reply(1)))},
 }
-
-
-def test_only_whole_replies_of_those_who_were_asked_are_believed() -> None:
-    for name, (received, believed) in STREAMS.items():
-        assert set(parse_status_frames(received, (1, 2), 2)) == believed, name

@@ -38,12 +38,18 @@ def read_telemetry(bus: Bus) -> dict[int, StatusFrame]:
     return bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
 
 
-def test_the_same_data_can_be_written_elsewhere_and_other_data_there(bus):
+def test_the_same_data_can_be_written_elsewhere_and_the_settings_are_the_registers_below_the_ram(bus):
     for limit in (300, 400):
         data = {1: Register.TORQUE_LIMIT.encode(limit)}
         bus.sync_write(Register.TORQUE_LIMIT, data)
         bus.sync_write(Register.GOAL_POSITION, data)
         assert (bus.read(1, Register.TORQUE_LIMIT), bus.read(1, Register.GOAL_POSITION)) == (limit, limit)
+    bus.write(3, Register.HOMING_OFFSET, -1234)
+    settings = {register: bus.read(3, register) for register in registers.SETTINGS}
+    assert run(read_registers(bus, 3, registers.SETTINGS_BLOCK)) == settings
+    # An identity cannot be written.
+    identity = {Register.FIRMWARE_MAJOR, Register.FIRMWARE_MINOR, Register.MODEL_NUMBER}
+    assert set(settings) - set(registers.EPROM) == identity
 
 
 def test_readings_at_rest_are_reused_one_that_moved_is_read_and_a_broadcast_ping_finds_who_is_there(bus, emulator):
@@ -268,19 +274,23 @@ def test_no_reading_marked_good_is_wrong_whatever_the_line_does():
 
 ALL_IDS = (1, 2, 3)
 LENGTH = 15
-BLOCK = st.binary(min_size=LENGTH, max_size=LENGTH)
 
 
 def frames_of(stream):
     return parse_status_frames(stream, ALL_IDS, LENGTH)
 
 
-@given(st.lists(BLOCK, min_size=3, max_size=3), st.integers(0, 0xFF))
+@given(st.lists(st.binary(min_size=LENGTH, max_size=LENGTH), min_size=3, max_size=3), st.integers(0, 0xFF))
 def test_replies_all_arrive_with_their_error_byte_whether_or_not_noise_precedes_them(blocks, error):
     stream = b"".join(FEETECH.status_packet(i, error, block) for i, block in zip(ALL_IDS, blocks, strict=True))
     assert frames_of(stream) == frames_of(b"\x00" + stream)
     if b"\xff" not in b"".join(blocks) and error < 0x80:
         assert frames_of(stream) == {i: StatusFrame(i, error, block) for i, block in zip(ALL_IDS, blocks, strict=True)}
+
+
+def test_only_whole_replies_in_their_turn_are_believed():
+    for name, (stream, believed) in STREAMS.items():
+        assert list(frames_of(stream)) == believed, name
 
 
 def test_a_cut_reply_whose_checksum_fits_by_chance_does_not_swallow_its_neighbour():
@@ -313,11 +323,6 @@ STREAMS = {
     "a lie about its length": (b"\xff\xff" + LYING + bytes([checksum(LYING)]), []),
     **{f"noise like {count} bytes of one": (b"\xff\xff\x01\x11\x00"[:count] + reply(2), [2]) for count in range(1, 6)},
 }
-
-
-def test_only_whole_replies_in_their_turn_are_believed():
-    for name, (stream, believed) in STREAMS.items():
-        assert list(frames_of(stream)) == believed, name
 
 
 @given(st.integers(0, 0xFD), st.integers(1, 0x83), st.binary(max_size=60))
@@ -357,11 +362,3 @@ def test_telemetry_is_read_as_its_registers_are_and_of_no_other_length(block):
         assert register.decode(block[at : at + register.size]) == value
     with pytest.raises(ValueError, match="15 bytes, not 14"):
         parse_telemetry(block[:-1])
-
-
-def test_the_settings_are_the_registers_below_the_ram_and_identity_cannot_be_written(bus):
-    bus.write(3, Register.HOMING_OFFSET, -1234)
-    settings = {register: bus.read(3, register) for register in registers.SETTINGS}
-    assert run(read_registers(bus, 3, registers.SETTINGS_BLOCK)) == settings
-    identity = {Register.FIRMWARE_MAJOR, Register.FIRMWARE_MINOR, Register.MODEL_NUMBER}
-    assert set(settings) - set(registers.EPROM) == identity

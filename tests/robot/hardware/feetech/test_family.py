@@ -126,11 +126,21 @@ def test_torque_limits_that_servos_have_lost_are_written_again(emulator: Stepped
     assert [servo.value(Register.TORQUE_LIMIT) for servo in emulator.servo_bus.servos] == [800] * 5 + [500]
 
 
-def test_a_servo_that_would_clamp_its_goal_is_not_switched_on(emulator: SteppedEmulator) -> None:
-    emulator.open_bus().write(1, Register.MAX_ANGLE_LIMIT, 2000)
+def test_a_servo_that_would_clamp_its_goal_is_not_switched_on_and_a_stuck_overload_needs_a_power_cycle(
+    emulator: SteppedEmulator,
+) -> None:
+    bus, limit = emulator.open_bus(), Register.MAX_ANGLE_LIMIT
+    before = bus.read(1, limit)
+    bus.write(1, limit, 2000)
     with pytest.raises(StartupError, match="shoulder_pan stands at"):
         FeetechsInUse(emulator).enable()
     assert not run_to_end(FeetechsInUse(emulator).hardware.driven(), emulator.run).any()
+    bus.write(1, limit, before)
+    servos = FeetechsInUse(emulator)
+    servos.enable()
+    emulator.servo_bus.servos[2].write = lambda _address, _data: 0  # type: ignore[method-assign]
+    with pytest.raises(StartupError, match=r"the overload of elbow_flex \(id 3\) stays latched"):
+        run_to_end(servos.hardware.clear_overloads([2], hold=True), emulator.run)
 
 
 def test_an_arm_that_holds_is_adopted_unwritten(start_emulator: Callable[..., SteppedEmulator], tmp_path: Path) -> None:
@@ -143,14 +153,6 @@ def test_an_arm_that_holds_is_adopted_unwritten(start_emulator: Callable[..., St
         assert FeetechsInUse(emulator).enable() == pytest.approx(first)
         bus.ping(1)
         assert len(read_write_log(log)) == written
-
-
-def test_a_latched_overload_that_ignores_torque_off_needs_a_power_cycle(emulator: SteppedEmulator) -> None:
-    servos = FeetechsInUse(emulator)
-    servos.enable()
-    emulator.servo_bus.servos[2].write = lambda _address, _data: 0  # type: ignore[method-assign]
-    with pytest.raises(StartupError, match=r"the overload of elbow_flex \(id 3\) stays latched"):
-        run_to_end(servos.hardware.clear_overloads([2], hold=True), emulator.run)
 
 
 def recalibrated(*servos: int, **values: int) -> Calibration:
@@ -220,29 +222,22 @@ def test_only_what_differs_is_written_and_it_outlives_a_power_cut(start_emulator
     bus.close()
 
 
-def held(values: dict[Register, int]) -> dict[Register, int]:
-    return {**dict.fromkeys(SETTINGS, 0), **values}
+def test_the_nearest_profile_is_found_though_a_setting_differs() -> None:
+    for profile in (FACTORY, LEROBOT):
+        grippers = (False, False, True)
+        servos = [(dict.fromkeys(SETTINGS, 0) | profile.expected(gripper=each), each) for each in grippers]
+        servos[0][0][Register.D_GAIN] = 40
+        assert nearest_profile(servos) is profile
 
 
-@pytest.mark.parametrize("profile", [FACTORY, LEROBOT])
-def test_the_nearest_profile_is_found_though_a_setting_differs(profile: ServoProfile) -> None:
-    servos = [(held(profile.expected(gripper=gripper)), gripper) for gripper in (False, False, True)]
-    servos[0] = (held({**profile.expected(gripper=False), Register.D_GAIN: 40}), False)
-    assert nearest_profile(servos) is profile
-
-
-def test_registers_of_an_arm_replace_those_of_the_base_at_every_servo() -> None:
-    profile = profile_of(
-        ProfileTable(base="lerobot", registers={"P_GAIN": 20, "overload_torque": 60}, gripper={"MAX_TORQUE": 400})
-    )
+def test_registers_of_an_arm_replace_those_of_the_base_or_are_refused_with_their_place() -> None:
+    registers = {"P_GAIN": 20, "overload_torque": 60}
+    profile = profile_of(ProfileTable(base="lerobot", registers=registers, gripper={"MAX_TORQUE": 400}))
     arm, gripper = profile.expected(gripper=False), profile.expected(gripper=True)
     assert arm[Register.P_GAIN] == gripper[Register.P_GAIN] == 20
     assert arm[Register.OVERLOAD_TORQUE] == gripper[Register.OVERLOAD_TORQUE] == 60
     assert (arm[Register.MAX_TORQUE], gripper[Register.MAX_TORQUE]) == (1000, 400)
     assert gripper[Register.PROTECTION_CURRENT] == 250
-
-
-def test_a_register_that_cannot_be_is_refused_with_its_place() -> None:
     for spec, words in (
         (ProfileTable(registers={"P_GAINN": 20}), r"hardware.profile.registers.P_GAINN: there is no such .*P_GAIN"),
         (ProfileTable(registers={"GOAL_POSITION": 20}), "there is no such setting"),

@@ -5,5 +5,4 @@ from tests.helpers.servo_families import FAMILIES, Family
 
 @pytest.fixture(params=FAMILIES.values(), ids=FAMILIES)
 def family(request: pytest.FixtureRequest) -> Family:
-    made: Family = request.param
-    return made
+    return request.param

@@ -46,27 +46,21 @@ FULL = np.array([0.8] * 5 + [0.5])
 PAN_A_LITTLE = np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
-def test_a_goal_that_a_servo_has_lost_is_written_again(family: Family, servos: Any) -> None:
+def test_a_lost_goal_is_written_again_a_changed_torque_limit_once_and_relaxing_begins_there(
+    family: Family, servos: Any
+) -> None:
     servos.enable()
     servos.hardware.write_goals(PAN_A_LITTLE)
     written = family.values(servos.emulator, "GOAL_POSITION")
     family.put(servos.emulator, 1, "GOAL_POSITION", 2000)
     servos.hardware.write_goals(PAN_A_LITTLE)
     assert family.values(servos.emulator, "GOAL_POSITION") == written
-
-
-def test_a_changed_torque_limit_is_written_at_once_and_only_once(family: Family, servos: Any) -> None:
-    servos.enable()
     for share in (0.5, 0.25):
         sent = servos.hardware.bus.counters.sent
         for _ in range(3):
             servos.hardware.write_torque_shares(FULL * [1, 1, 1, 1, 1, share])
         assert servos.hardware.bus.counters.sent - sent == 1
         assert family.limits(servos.emulator) == pytest.approx([0.8] * 5 + [0.5 * share], abs=0.001)
-
-
-def test_relaxing_begins_with_the_torque_that_is_used(family: Family, servos: Any) -> None:
-    servos.enable()
     steps = servos.hardware.relax(FULL * 0.5)
     next(steps)
     next(steps)
@@ -198,12 +192,18 @@ def answered(family: Family, tracker: ServoTracker, *silent: int, now_s: float =
     return asked
 
 
-def test_readings_are_complete_once_every_servo_has_answered(family: Family, tracker: ServoTracker) -> None:
+def test_readings_are_complete_once_all_have_answered_and_all_asked_at_once_where_none_does(
+    family: Family, tracker: ServoTracker
+) -> None:
     assert tracker.age_s(3, 1.0) == math.inf
     answered(family, tracker, 3)
     assert not tracker.complete
     answered(family, tracker)
     assert tracker.complete
+    for _ in range(EMPTY_READS_PER_SERVO * len(IDS)):
+        assert len(answered(family, tracker, *IDS)) == len(IDS)
+    asked = [len(answered(family, tracker, *IDS)) for _ in range(10 * ASK_ALL_EVERY)]
+    assert sorted(asked) == [0] * 10 * (ASK_ALL_EVERY - 1) + [len(IDS)] * 10
 
 
 def test_a_servo_that_misses_its_turn_is_asked_last_and_seldom(family: Family, tracker: ServoTracker) -> None:
@@ -225,14 +225,6 @@ def test_a_servo_that_misses_its_turn_is_asked_last_and_seldom(family: Family, t
     assert tracker.is_silent(3)
     tracker.ask_again(3)
     assert 3 in tracker.ids_to_ask()
-
-
-def test_where_none_speaks_all_are_asked_at_once_now_and_then(family: Family, tracker: ServoTracker) -> None:
-    for _ in range(EMPTY_READS_PER_SERVO * len(IDS)):
-        assert len(answered(family, tracker, *IDS)) == len(IDS)
-    every = ASK_ALL_EVERY
-    asked = [len(answered(family, tracker, *IDS)) for _ in range(10 * every)]
-    assert sorted(asked) == [0] * 10 * (every - 1) + [len(IDS)] * 10
 
 
 FAR_TICKS = round(ServoFamily.jump_rad / RAD_PER_TICK) + 200
@@ -346,16 +338,15 @@ def test_goals_are_written_as_the_calibration_turns_them_into_ticks(family: Fami
         assert blocks[joint.servo_id] in [servos.goal_block(joint.servo_id, ticks + off) for off in (-1, 0, 1)]
 
 
-def test_a_servo_may_be_faster_than_its_joint_but_not_by_much_nor_beyond_what_is_safe(family: Family) -> None:
+def test_velocities_have_the_joints_signs_and_a_servo_may_be_faster_but_not_by_much(
+    family: Family,
+) -> None:
     for joint, speed in zip(family.calibration.joints, family.bounds.max_velocity, strict=True):
         needed_ticks_s = abs(joint.ticks_s_from_rad_s(float(speed)))
         cap_ticks_s = family.servo_map.speed_ticks_s[joint.servo_id]
         assert needed_ticks_s < cap_ticks_s < 1.4 * needed_ticks_s or cap_ticks_s == FASTEST_TICKS_S
     fast = ServoMap(family.driver, family.calibration, replace(family.bounds, max_velocity=np.full(6, 100.0)))
     assert set(fast.speed_ticks_s.values()) == {FASTEST_TICKS_S}
-
-
-def test_velocities_and_loads_have_the_joints_signs(family: Family) -> None:
     servos = family.servo_map
     faster = np.subtract(servos.positions_rad([2100] * 6), servos.positions_rad([2000] * 6))
     assert servos.velocities_rad_s([100] * 6) == pytest.approx(faster)
@@ -367,14 +358,11 @@ def test_velocities_and_loads_have_the_joints_signs(family: Family) -> None:
 
 
 @given(st.sampled_from(DYNAMIXELS.ids), st.integers(-5, 5), st.data())
-def test_turns_that_a_servo_counts_do_not_change_its_position(servo: int, turns: int, data: st.DataObject) -> None:
-    ticks = data.draw(st.integers(*DYNAMIXELS.certain_ticks(servo)))
-    assert DYNAMIXELS.turns_ticks(servo, ticks + turns * TICKS_PER_TURN) == -turns * TICKS_PER_TURN
-
-
-@given(st.sampled_from(DYNAMIXELS.ids))
-def test_the_calibrated_range_or_almost_a_turn_is_certain(servo: int) -> None:
-    joint = DYNAMIXELS.by_id[servo]
+def test_turns_that_a_servo_counts_do_not_change_its_position_in_the_range_that_is_certain(
+    servo: int, turns: int, data: st.DataObject
+) -> None:
     lowest, highest = DYNAMIXELS.certain_ticks(servo)
+    ticks, joint = data.draw(st.integers(lowest, highest)), DYNAMIXELS.by_id[servo]
+    assert DYNAMIXELS.turns_ticks(servo, ticks + turns * TICKS_PER_TURN) == -turns * TICKS_PER_TURN
     assert (highest - lowest) * RAD_PER_TICK > 0.9 * 2.0 * np.pi
     assert joint.range_max - joint.range_min > 4000 or (lowest < joint.range_min and joint.range_max < highest)

@@ -106,15 +106,14 @@ def test_an_arm_sunk_in_relaxing_holds_again_where_it_is(family: Family, emulato
     assert goals[2] - before[2] == pytest.approx(200, abs=2 * DROOP_TICKS)
 
 
-def test_an_arm_that_moves_is_not_switched_on(family: Family, emulator: Any, torque: ServoTorque) -> None:
-    emulator.servo_bus.servos[2].plant.push_permille = -150.0
+def test_an_arm_that_moves_or_is_far_outside_its_limits_is_not_switched_on(
+    family: Family, emulator: Any, torque: ServoTorque
+) -> None:
+    plant = emulator.servo_bus.servos[2].plant
+    plant.push_permille = -150.0
     with pytest.raises(StartupError, match="joint elbow_flex does not come to rest: let go of the arm"):
         enable(torque, emulator)
-    assert torques(family, emulator) == [0] * 6
-
-
-def test_an_arm_far_outside_its_limits_is_not_switched_on(family: Family, emulator: Any, torque: ServoTorque) -> None:
-    plant = emulator.servo_bus.servos[2].plant
+    plant.push_permille = 0.0
     plant.position_ticks = plant.upper_stop_ticks = plant.upper_stop_ticks + OUTSIDE_LIMIT_TICKS
     plant.block(None)
     emulator.run(0.05)
@@ -123,26 +122,26 @@ def test_an_arm_far_outside_its_limits_is_not_switched_on(family: Family, emulat
     assert torques(family, emulator) == [0] * 6
 
 
-def test_a_servo_that_jumps_as_torque_comes_on_is_relaxed(family: Family, emulator: Any, torque: ServoTorque) -> None:
+def test_a_servo_that_jumps_or_is_lost_in_enabling_leaves_the_arm_relaxed(
+    family: Family, emulator: Any, torque: ServoTorque
+) -> None:
     def knock(wait_s: float) -> None:
         emulator.run(wait_s + 0.001)
         if family.value(emulator, 4, "TORQUE_ENABLE"):
             emulator.servo_bus.servos[3].plant.position_ticks += 3 * TORQUE_ON_WITHIN_TICKS
 
-    with pytest.raises(StartupError, match=r"wrist_flex moved by -?\d+ ticks while torque came on; torque is off"):
-        run_to_end(torque.enable(IDS), knock)
-    assert torques(family, emulator) == [0] * 6
-
-
-def test_a_servo_lost_in_enabling_leaves_others_relaxed(family: Family, emulator: Any, torque: ServoTorque) -> None:
     def lose(wait_s: float) -> None:
         emulator.run(wait_s)
         if family.value(emulator, 5, "TORQUE_ENABLE"):
             emulator.servo_bus.faults.offline = {6}
 
-    with pytest.raises(StartupError, match=r"torque off could not be verified at gripper \(id 6\)"):
-        run_to_end(torque.enable(IDS), lose)
-    assert torques(family, emulator) == [0] * 6
+    for wait, words in (
+        (knock, r"wrist_flex moved by -?\d+ ticks while torque came on; torque is off"),
+        (lose, r"torque off could not be verified at gripper \(id 6\)"),
+    ):
+        with pytest.raises(StartupError, match=words):
+            run_to_end(torque_of(family, emulator).enable(IDS), wait)
+        assert torques(family, emulator) == [0] * 6
 
 
 def test_relaxing_lowers_the_torque_before_it_is_off(family: Family, emulator: Any, torque: ServoTorque) -> None:

@@ -69,16 +69,13 @@ async def test_status_and_result_name_the_goals_topic_id_and_stamp(desk: Desk) -
     assert [values_of(status)["stamp"] for status in desk.heard[goal_topics.STATUS_TOPIC][3:]] == ["17.004000001"] * 3
 
 
-async def test_an_invalid_message_is_a_rejected_goal(desk: Desk) -> None:
+async def test_a_bad_message_is_a_rejected_goal_or_is_logged(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(MessageError):
         await desk.publish("/moveit_goal_joints", {"name": 5})
     ((code, sentence, _source),) = desk.answers
     assert code == -16
     assert "name" in sentence
     assert desk.heard[goal_topics.STATUS_TOPIC][-1]["level"] == 2
-
-
-async def test_ignored_joints_and_unknown_events_are_logged(desk: Desk, caplog: pytest.LogCaptureFixture) -> None:
     await desk.publish("/moveit_goal_joints", {"name": ["knee", "elbow_flex"], "position": [1.0, 0.2]})
     assert "ignored joints that are not in group arm: knee" in caplog.text
     await desk.publish("/trajectory_execution_event", {"data": "dance"})

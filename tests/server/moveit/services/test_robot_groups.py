@@ -60,7 +60,12 @@ def test_groups_have_their_joints_tips_and_the_gripper_and_grippers_are_no_group
     assert document["reach_m"] == pytest.approx(0.6 + 0.4 + 0.05)
 
 
-def test_of_several_arms_each_group_names_its_arm_and_a_group_of_both_has_none() -> None:
+def test_groups_are_latched_as_json_and_of_several_arms_each_names_its_arm() -> None:
+    graph = Graph(REGISTRY)
+    publish_groups(graph, ROBOT, {"": ROBOT}, PARAMETERS)
+    (kept,) = listen(graph, ROBOT_TOPIC)
+    (arm,) = json.loads(kept["data"])["groups"]
+    assert (arm["name"], arm["tip"], arm["namespace"]) == ("arm", "gripper_frame_link", "")
     arms = {name: prefixed(ROBOT, name) for name in ("left", "right")}
     document = groups_document(joined("both", {name: PlacedArm(arm) for name, arm in arms.items()}), arms, PARAMETERS)
     groups = {each["name"]: each for each in document["groups"]}
@@ -69,11 +74,3 @@ def test_of_several_arms_each_group_names_its_arm_and_a_group_of_both_has_none()
     assert groups["right_arm"]["gripper"]["action"] == "/right/gripper_controller/gripper_cmd"
     assert groups["both_arms"]["gripper"] is None
     assert document["default_group"] == "left_arm"
-
-
-def test_the_groups_are_latched_as_json() -> None:
-    graph = Graph(REGISTRY)
-    publish_groups(graph, ROBOT, {"": ROBOT}, PARAMETERS)
-    (kept,) = listen(graph, ROBOT_TOPIC)
-    (arm,) = json.loads(kept["data"])["groups"]
-    assert (arm["name"], arm["tip"], arm["namespace"]) == ("arm", "gripper_frame_link", "")

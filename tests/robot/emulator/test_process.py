@@ -185,9 +185,7 @@ def test_servos_and_bus_are_as_asked_for(tmp_path):
     assert json.loads(log.read_text())["command"] == {}
 
 
-def test_options_that_cannot_be_are_refused_in_a_sentence(capsys, monkeypatch):
-    # Handlers of signals would stay, and end the tests that raise some later.
-    monkeypatch.setattr(process, "_end_on_signals", lambda **_: None)
+def test_options_that_cannot_be_are_refused_in_a_sentence(capsys):
     for arguments, sentence, error in (
         (["--start=a"], "not a list of numbers", SystemExit),
         (["--drop", "2"], "drop: must be less than or equal to 1, not 2.0", SystemExit),

@@ -194,11 +194,12 @@ def test_the_pictures_show_the_page_as_it_is() -> None:
     assert pictured == page_digest(), "the page has changed since docs/pictures was made: run `make pictures`"
 
 
-def test_every_test_that_the_table_of_attacks_names_exists() -> None:
-    named = re.findall(r"`([\w/.]+\.py)::(\w+)`", (ROOT / "tests" / "ATTACKS.md").read_text())
+@pytest.mark.parametrize("table", ["ATTACKS.md", "TRAPS.md"])
+def test_every_test_that_the_tables_of_attacks_and_of_traps_name_exists(table: str) -> None:
+    named = re.findall(r"`([\w/.]+\.py)::(\w+)`", (ROOT / "tests" / table).read_text())
     assert len(named) > 10
     missing = [name for file, name in named if f"def {name}(" not in (ROOT / "tests" / file).read_text()]
-    assert missing == [], "tests/ATTACKS.md names tests that do not exist; correct the table"
+    assert missing == [], f"tests/{table} names tests that do not exist; correct the table"
 
 
 def test_the_sentences_of_the_pages_about_troubles_are_printed_by_the_code() -> None:

@@ -120,7 +120,7 @@ class Broadphase:
 
     def touches(self, q: Vector, left_out: frozenset[int] = NO_PAIRS) -> bool:
         """Return true if the shapes of any pair touch, or are nearer than they may be, but some that are left out."""
-        if left_out is not self._left_out:
+        if left_out != self._left_out:
             for pair in self._left_out:
                 self._any.activateCollisionPair(pair)
             for pair in left_out:

@@ -34,8 +34,7 @@ INSIDE = 0.5  # a surface encloses points with a greater winding number: 1 insid
 
 Triangles = NDArray[np.int32]
 
-# A mesh and its place in the frame of a link or joint.
-PlacedMesh = tuple[coal.BVHModelBase, pin.SE3]
+PlacedMesh = tuple[coal.BVHModelBase, pin.SE3]  # a mesh and its place in the frame of a link or joint
 
 
 class TriangleSurface:
@@ -53,15 +52,17 @@ class TriangleSurface:
     @cached_property
     def points_m(self) -> Vector:
         """Outermost vertices of each connected body, shape (bodies, 6, 3) [m]."""
-        body = np.arange(len(self._vertices_m))
-        while True:
-            joined = body.copy()
+        body, joined = np.zeros(0, dtype=int), np.arange(len(self._vertices_m))
+        while not np.array_equal(body, joined):
+            body, joined = joined, joined.copy()
             np.minimum.at(joined, self._triangles.ravel(), np.repeat(body[self._triangles].min(axis=1), 3))
             joined = joined[joined]
-            if np.array_equal(joined, body):
-                bodies = (self._vertices_m[body == each] for each in np.unique(body[self._triangles]))
-                return np.array([each[np.concatenate((each.argmin(axis=0), each.argmax(axis=0)))] for each in bodies])
-            body = joined
+        # A mesh of loose triangles has as many bodies: all are looked at together.
+        bodies, ordered = np.unique(body[self._triangles]), np.sort(body)
+        ends = np.searchsorted(ordered, bodies), np.searchsorted(ordered, bodies, "right") - 1
+        along = [np.lexsort((coordinate, body)) for coordinate in self._vertices_m.T]
+        outermost: Vector = self._vertices_m[np.stack([each[end] for end in ends for each in along], axis=1)]
+        return outermost
 
     @cached_property
     def box_m(self) -> tuple[Vector, Vector]:

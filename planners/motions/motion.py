@@ -221,8 +221,7 @@ class _Searching:
             searches -= len(found)
             known, any_shorter = best, False
             for method, stages in sorted(found, key=lambda each: each[1][-1].duration_ticks):
-                longest_s = np.inf if best is None else best.trajectory.duration_s
-                shorter = [each for each in stages if TICK_S * each.ticks[-1] < longest_s]
+                shorter = [one for one in stages if not best or TICK_S * one.ticks[-1] < best.trajectory.duration_s]
                 any_shorter = any_shorter or bool(shorter)
                 best = self._shortest(method, shorter) or best
             if any_shorter and best is known:

@@ -137,6 +137,12 @@ def test_each_body_of_a_surface_has_its_outermost_points_and_packing_drops_what_
     both = np.vstack([triangles, triangles + len(vertices_m)]).astype(np.int32)
     surface = surfaces.TriangleSurface(two_m, both)
     assert surface.points_m.shape == (2, 6, 3)
+    # In any order of the vertices, of which one is in no triangle.
+    order = np.random.default_rng(1).permutation(len(two_m) + 1)
+    mixed = surfaces.TriangleSurface(np.vstack([two_m, np.ones(3)])[order], np.argsort(order)[both].astype(np.int32))
+    for extreme in (np.min, np.max):
+        of_balls = [extreme(ball_m, axis=0) for ball_m in np.split(two_m, 2)]
+        assert sorted(extreme(mixed.points_m, axis=1).tolist()) == sorted(map(np.ndarray.tolist, of_balls))
     assert (np.ptp(surface.points_m, axis=1) > 0.09).all(), "outermost points of one body each"
     assert np.ptp(surface.points_m[:, 0, 0]) > 0.1
     vertices = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.1, 1e-7, 0.0]])

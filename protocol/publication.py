@@ -12,7 +12,7 @@ import uuid
 from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple, TypeAlias
 
-from protocol.codecs import bson, cbor, cdr, json, png
+from protocol.codecs import bson, cbor, cdr, json, png, ros1_serialization
 from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.dialect import Dialect, to_ros1
 from protocol.framing import split
@@ -263,7 +263,7 @@ class PublishedMessage:
         known = self._registry.knows(self.type_name)
         if encoding == "cbor-raw" and known:
             if dialect == "ros1":
-                octets = cdr.serialize_for_ros1(self._registry, self.type_name, self.msg, self.sequence_number)
+                octets = ros1_serialization.serialize(self._registry, self.type_name, self.msg, self.sequence_number)
             else:
                 octets = cdr.serialize(self._registry, self.type_name, self.msg)
             return cbor.encode({"secs": self.received.sec, "nsecs": self.received.nanosec, "bytes": octets})

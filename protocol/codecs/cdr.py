@@ -1,14 +1,9 @@
-"""Binary forms of messages: CDR, as ROS 2 middleware has them, and ROS 1's serialization; both are little-endian.
+"""CDR, the binary form that ROS 2 middleware gives a message: plain XCDR version 1, little-endian.
 
-CDR is plain XCDR version 1. A primitive is aligned to its own size, counted from behind the four bytes that name the
-representation (OMG DDS-XTypes 1.3, section 7.4.3; DDSI-RTPS 2.5, section 10). Text ends with a zero, which counts in
-its length. An empty structure is one octet, for the C structures behind ROS 2 messages need a member (rosidl,
+A primitive is aligned to its own size, counted from behind the four bytes that name the representation (OMG
+DDS-XTypes 1.3, section 7.4.3; DDSI-RTPS 2.5, section 10). Text ends with a zero, which counts in its length. An empty
+structure is one octet, for the C structures behind ROS 2 messages need a member (rosidl,
 structure_needs_at_least_one_member).
-
-In ROS 1's serialization, as roscpp and rospy put it on the wire and into bags, the fields follow one another in the
-order of ROS 1's declaration, without alignment and without a header. Texts, and arrays without a fixed length, come
-behind their length as uint32; a text has no zero at its end, and an empty message has no octets. Times are two integers
-of 32 bits (roscpp_serialization, genpy/generator.py).
 
 A type is compiled once into a tree of functions that write it, and a tree that reads it. Input may come from another
 machine or from a damaged file: every length is checked against the octets that are there before anything is allocated
@@ -26,9 +21,8 @@ from typing import Any, TypeAlias
 
 from protocol import values
 from protocol.codecs.cbor import OCTETS
-from protocol.dialect import declared_in_ros1, to_ros1
 from protocol.errors import MessageError
-from protocol.registry import MAX_COMPILED_TYPES, ROS1_TIMES, TEXTS, Field, Registry
+from protocol.registry import MAX_COMPILED_TYPES, TEXTS, Field, Registry
 
 # Representation CDR_LE, no options.
 HEADER = b"\x00\x01\x00\x00"
@@ -60,63 +54,35 @@ _CODE_UNIT_BYTES = 2
 Write: TypeAlias = Callable[[bytearray, Any], None]
 
 
-# ROS 2's seconds of a time are signed and its nanoseconds of a duration are not: what ROS 1 cannot hold keeps its bits.
-_TIME, _WORD = struct.Struct("<II"), 0xFFFF_FFFF
-
-# Types of both generations; a type that exists only in ROS 2 has ROS 2's.
-_TIMES = (*ROS1_TIMES, "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-
-
 def serialize(registry: Registry, type_name: str, msg: Mapping[str, Any]) -> bytes:
     """Return a complete message (:func:`protocol.messages.complete`) as CDR, with its header."""
     body = bytearray()
-    _message_writer(registry, type_name, ros1=False)(body, msg)
+    _message_writer(registry, type_name)(body, msg)
     return HEADER + body
 
 
-def serialize_for_ros1(registry: Registry, type_name: str, msg: Mapping[str, Any], sequence_number: int = 0) -> bytes:
-    """Return a complete message in ROS 1's serialization; a type of ROS 2 alone is written as if ROS 1 had it."""
-    body = bytearray()
-    _message_writer(registry, type_name, ros1=True)(body, to_ros1(registry, type_name, msg, sequence_number))
-    return bytes(body)
-
-
 @functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
-def _message_writer(registry: Registry, type_name: str, *, ros1: bool) -> Write:
-    message_type = declared_in_ros1(registry, type_name) if ros1 else registry.message(type_name)
+def _message_writer(registry: Registry, type_name: str) -> Write:
     writers = [
-        (field.name, _field_writer(field, _element_writer(registry, field, ros1=ros1), aligned=not ros1))
-        for field in message_type.fields
+        (field.name, field_writer(field, _element_writer(registry, field), aligned=True))
+        for field in registry.message(type_name).fields
     ]
-    filled = not writers and not ros1
 
     def write(body: bytearray, message: Mapping[str, Any]) -> None:
         for name, write_field in writers:
             write_field(body, message[name])
-        if filled:
+        if not writers:
             body.append(0)
 
     return write
 
 
-def _element_writer(registry: Registry, field: Field, *, ros1: bool) -> Write:
-    if ros1 and field.base in _TIMES:
-        return _write_ros1_time
+def _element_writer(registry: Registry, field: Field) -> Write:
     if not field.primitive:
-        return _message_writer(registry, field.base, ros1=ros1)
+        return _message_writer(registry, field.base)
     if field.base in TEXTS:
-        return _write_ros1_text if ros1 else _write_text if field.base == "string" else _write_wide_text
-    return _primitive_writer(field.base, aligned=not ros1)
-
-
-def _write_ros1_time(body: bytearray, value: Mapping[str, int]) -> None:
-    body += _TIME.pack(value["secs"] & _WORD, value["nsecs"] & _WORD)
-
-
-def _write_ros1_text(body: bytearray, value: str) -> None:
-    octets = value.encode()
-    body += _LENGTH.pack(len(octets))
-    body += octets
+        return _write_text if field.base == "string" else _write_wide_text
+    return primitive_writer(field.base, aligned=True)
 
 
 def _write_text(body: bytearray, value: str) -> None:
@@ -135,7 +101,7 @@ def _write_wide_text(body: bytearray, value: str) -> None:
     body += octets
 
 
-def _primitive_writer(base: str, *, aligned: bool) -> Write:
+def primitive_writer(base: str, *, aligned: bool) -> Write:
     packing = struct.Struct("<?" if base == "bool" else f"<{CODES[base]}")
 
     def write(body: bytearray, value: Any) -> None:
@@ -146,7 +112,7 @@ def _primitive_writer(base: str, *, aligned: bool) -> Write:
     return write
 
 
-def _field_writer(field: Field, write_element: Write, *, aligned: bool) -> Write:
+def field_writer(field: Field, write_element: Write, *, aligned: bool) -> Write:
     """Return the writer of a field; ``write_element`` writes one value, arrays of numbers and octets go as a whole."""
     if field.array is None:
         return write_element

@@ -41,7 +41,8 @@ from server.moveit.actions.gripper import Gripper
 from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.messages import Message, error_code
 from server.moveit.trajectories import read_points, read_seconds, smallest_group
-from server.teleop.following import LATENCY_S, GripperFollowing, TrackingLimits
+from server.teleop.following import TrackingLimits
+from server.teleop.gripper_following import LATENCY_S, GripperFollowing
 
 NAME = "/arm/chunks"
 TYPE = "armbridge_msgs/ActionChunk"

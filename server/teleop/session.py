@@ -20,15 +20,8 @@ from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
-from server.teleop.following import (
-    STALE_S,
-    FollowerAct,
-    Following,
-    FollowingPhase,
-    GripperFollowing,
-    TrackingLimits,
-    tracking_velocity,
-)
+from server.teleop.following import STALE_S, FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocity
+from server.teleop.gripper_following import GripperFollowing
 from server.teleop.leader import FollowingJoints, JitterBuffer, LeaderPose
 
 log = logging.getLogger("armbridge.teleop")

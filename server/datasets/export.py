@@ -33,7 +33,7 @@ from server.datasets.samples import (
     times_s,
 )
 from server.errors import ServerError
-from server.recording.replay import messages
+from server.recording.reading import messages
 
 # The end of an image topic's name says how it is sent, not which camera it is.
 _TRANSPORT = frozenset({"image", "image_raw", "image_color", "image_rect", "compressed", "color", "rgb"})

@@ -20,7 +20,7 @@ from server.chunks.action_chunks import PolicyPhase
 from server.datasets.episodes import EPISODE_TOPIC, IMAGES, RAW_IMAGE
 from server.errors import RecordingError
 from server.recording.files import RecordedMessage
-from server.recording.replay import messages
+from server.recording.reading import messages
 
 Times: TypeAlias = NDArray[np.float64]
 PositionRows: TypeAlias = NDArray[np.float64]

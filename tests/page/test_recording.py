@@ -17,7 +17,7 @@ from harness.server import FAST, RunningServer
 from protocol.codecs import cdr
 from server.errors import RecordingError
 from server.interfaces import load_registry
-from server.recording.replay import messages
+from server.recording.reading import messages
 from tests.helpers.messages import time_message
 from tests.page.test_what_is_offered import TOPIC, TYPE, picture
 

@@ -22,7 +22,7 @@ from protocol.interface_packages import read_packages
 from server.errors import RecordingError
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.installation import PAGE_DIRECTORY
-from server.recording.replay import RecordingFile
+from server.recording.reading import RecordingFile
 from tests.conformance.cases import INTERFACES
 from tests.helpers.robots import nominal_calibration, so101
 

@@ -8,7 +8,7 @@ from protocol.codecs import cdr
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from server.recording.files import RecordedMessage, RecordingSeries
-from server.recording.replay import RecordingFile
+from server.recording.reading import RecordingFile
 
 REGISTRY = Registry.load()
 START_NS = 1_700_000_000_000_000_000

@@ -9,7 +9,7 @@ from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
 from server.features.monitoring import Recording
 from server.gateway.settings import ServerSettings
-from server.recording.replay import RecordingFile
+from server.recording.reading import RecordingFile
 from server.zenoh.settings import ZenohSettings
 
 

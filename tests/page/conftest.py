@@ -48,6 +48,15 @@ def tab(browser: Browser) -> Iterator[OpenPage]:
         assert open_page.errors == []
 
 
+@pytest.fixture(scope="module")
+def kept_page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+    """A page of the server for all tests of a module."""
+    with opened(browser) as open_page:
+        open_page.open(server.port)
+        yield open_page
+        assert open_page.errors == []
+
+
 @pytest.fixture(scope="session")
 def routed_page(browser: Browser) -> Iterator[OpenPage]:
     with opened(browser, own=True) as open_page:

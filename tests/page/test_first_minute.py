@@ -1,23 +1,18 @@
 """The first minute with the page: a motion at one click, a fault with its remedy, and nothing that cannot be done."""
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser
 
 from harness.clients import values_of
-from harness.page import OpenPage, opened
+from harness.page import OpenPage
 from harness.server import RunningServer
 
 
 @pytest.fixture(scope="module")
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
-        open_page.open(server.port)
-        yield open_page
-        assert open_page.errors == []
+def page(kept_page: OpenPage) -> OpenPage:
+    return kept_page
 
 
 def is_hidden(page: OpenPage, test_id: str) -> bool:

@@ -3,7 +3,6 @@
 import csv
 import json
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,11 +22,8 @@ BEYOND_RAD = 9.0
 
 
 @pytest.fixture(scope="module")
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
-        open_page.open(server.port)
-        yield open_page
-        assert open_page.errors == []
+def page(kept_page: OpenPage) -> OpenPage:
+    return kept_page
 
 
 def move_pan(server: RunningServer, position_rad: float) -> None:

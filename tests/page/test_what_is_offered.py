@@ -5,7 +5,6 @@ import io
 import json
 import signal
 import time
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -34,11 +33,8 @@ NO_STORAGE = "Storage.prototype.setItem = () => { throw new DOMException('full',
 
 
 @pytest.fixture(scope="module")
-def page(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
-        open_page.open(server.port)
-        yield open_page
-        assert open_page.errors == []
+def page(kept_page: OpenPage) -> OpenPage:
+    return kept_page
 
 
 def named(server: RunningServer, pose: str) -> str:

@@ -1,14 +1,13 @@
 """The panel World: what is added there stands in the arm's way, is held, comes back, and shows where the arm can be."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Browser
 
 from harness.clients import call
-from harness.page import SHARED, OpenPage, opened
+from harness.page import SHARED, OpenPage
 from harness.server import FAST, RunningServer
 
 # In front of the arm, within its reach.
@@ -22,13 +21,10 @@ SETTINGS = {**FAST, **SHARED}
 
 
 @pytest.fixture(scope="module")
-def world(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
-    with opened(browser) as open_page:
-        open_page.open(server.port)
-        open_page.until_state("s.link.connected && s.identity !== null && s.editing.saved !== null")
-        open_page.open_panel("world")
-        yield open_page
-        assert open_page.errors == []
+def world(kept_page: OpenPage) -> OpenPage:
+    kept_page.until_state("s.link.connected && s.identity !== null && s.editing.saved !== null")
+    kept_page.open_panel("world")
+    return kept_page
 
 
 @pytest.fixture
@@ -240,6 +236,7 @@ def test_the_reachable_region_is_computed_anew_when_the_scene_changes(page: Open
     assert check(server, tuple(free_m[len(free_m) // 2]))["free"]
     # In the slice, where the tip could be: a square in it is now told to be blocked.
     x, y, z = next((x, y, z) for x, y, z in free_m if abs(x - 0.3) < 0.03 and abs(z - 0.04) < 0.04)
+    page.part("shape-box").check()
     page.enter("place-y", "0")
     page.part("add-object").click()
     there = f"Math.hypot(c.point_m[0] - {x}, c.point_m[1] - {y}, c.point_m[2] - {z}) < 1e-6"

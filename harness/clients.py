@@ -79,8 +79,8 @@ class FrameClient:
 
     async def set_speed(self, factor: float) -> None:
         """Set the speed factor of motions: on a busy machine a slow motion lasts until a test has looked at it."""
-        msg = {"data": factor}
-        await self.send({"op": "publish", "topic": "/arm/speed_factor", "type": "std_msgs/Float64", "msg": msg})
+        topic, type_name = SPEED_FACTOR
+        await self.send({"op": "publish", "topic": topic, "type": type_name, "msg": {"data": factor}})
 
     async def reach(self, topic: str, msg: dict[str, Any], timeout_s: float = TIMEOUT_S) -> dict[str, Any]:
         """Publish a goal and wait for the next result."""

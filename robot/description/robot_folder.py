@@ -272,7 +272,8 @@ def moveit_limits(path: Path) -> dict[str, JointLimits]:
 def _yaml_number(path: Path, name: str, entry: Mapping[str, Any], key: str) -> float:
     value = entry.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= robot_file.MAX_RATE:
-        raise DescriptionError(str(path), f"joint_limits.{name}.{key} must be a number, not {reprlib.repr(value)[:80]}")
+        wanted = f"must be a number, not {reprlib.repr(value)[:80]} (at most {robot_file.MAX_RATE:g})"
+        raise DescriptionError(str(path), f"joint_limits.{name}.{key} {wanted}")
     return float(value)
 
 

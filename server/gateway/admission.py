@@ -19,7 +19,7 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, partial
 from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Address
 from pathlib import Path
@@ -312,7 +312,7 @@ class AdmissionPolicy:
         self._tokens = tokens or Tokens({}, ANYONE)
         self._own_names = own_names()
         self._allowed_hosts = settings.allowed_hosts
-        self._origins = settings.allowed_origins, classroom_ports
+        self._may_connect = partial(may_connect, allowed=settings.allowed_origins, classroom_ports=classroom_ports)
         # Numbers of refused requests, by reason: host, origin, token, tokens (too many wrong ones).
         self.refusals: Counter[str] = Counter()
         self._log = LogLimiter()
@@ -351,7 +351,7 @@ class AdmissionPolicy:
 
     def _foreign(self, request: HandshakeRequest, host: Authority) -> HttpResponse | None:
         for origin in request.headers.get_all("Origin"):
-            if not may_connect(origin, host, *self._origins, encrypted=request.encrypted):
+            if not self._may_connect(origin, host, encrypted=request.encrypted):
                 shown = one_line(shorten(origin))
                 sentence = (
                     f"pages of the origin {shown!r} may not connect; to let them, set"

@@ -336,7 +336,7 @@ class CalibrationSession:
         """Share of the steps that is done, 0 to 1."""
         if self.step is None:
             return 1.0
-        if self.step.name == HOLD or self._sweep is None:
+        if self._sweep is None:
             return 0.0
         if self.step.name == SWEEP:
             return _SWEPT * sum(each.done for each in self.ranges()) / len(self.servos)

@@ -10,7 +10,7 @@ from planners.geometry.broadphase import FEW_SHAPES, UNKNOWN_M
 from planners.geometry.certificate import line_free
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
-from planners.geometry.parts import PartPair, parts_of
+from planners.geometry.parts import Boxes, PartPair, least_distance_m, near_pairs, parts_of
 from planners.geometry.shapes import convex, frame_of_link, kinematic_urdf
 from planners.geometry.surfaces import UNIT_M, load_surfaces
 from planners.scene import Box, Mesh, Plane, Sphere
@@ -130,6 +130,27 @@ def distance_m(one, at_one, other, at_other):
     first, second = (coal.Transform3s(place.rotation, place.translation) for place in places)
     asked, found = coal.DistanceRequest(), coal.DistanceResult()
     return coal.distance(one.geometry, first, other.geometry, second, asked, found)
+
+
+def test_boxes_of_two_joints_are_near_if_they_touch_and_no_nearer_than_their_bound():
+    rng, verdicts = np.random.default_rng(2), set()
+    for _ in range(40):
+        between = pose(rng, 0.1)
+        middles_m, halves_m = (rng.uniform(low_m, high_m, (2, 6, 3)) for low_m, high_m in ((-0.2, 0.2), (0.01, 0.08)))
+        first, second = map(Boxes.between, middles_m - halves_m, middles_m + halves_m)
+        of_first, of_second = (
+            [
+                pin.GeometryObject("", 0, 0, pin.SE3(np.eye(3), at), coal.Box(*size))
+                for at, size in zip(*each, strict=True)
+            ]
+            for each in zip(middles_m, 2.0 * halves_m, strict=True)
+        )
+        apart_m = [[distance_m(one, pin.SE3.Identity(), other, between) for other in of_second] for one in of_first]
+        near = near_pairs(first, second, between, 0.0).tolist()
+        assert sorted(near) == np.argwhere(np.array(apart_m) < 0.0).tolist()
+        assert np.all(least_distance_m(first, second, between) <= np.array(apart_m) + 1e-6)
+        verdicts.add(bool(near))
+    assert verdicts == {True, False}
 
 
 @pytest.mark.parametrize("margin_m", [0.0, 0.01, 0.05])

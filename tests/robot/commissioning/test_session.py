@@ -91,7 +91,7 @@ def at_direction_of(joint):
 
 def test_nothing_but_relaxing_is_asked_before_the_arm_is_relaxed_and_progress_never_falls_on_the_way():
     session = CalibrationSession(SO101_SERVOS, MOTIONS, recentre=True)
-    assert session.ranges() == ()
+    assert (session.ranges(), session.progress) == ((), 0.0)
     with pytest.raises(CalibrationError, match="relax the arm"):
         session.answer(DONE)
     assert session.step.answers == (RELAX,)

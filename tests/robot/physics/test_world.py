@@ -4,6 +4,7 @@ import logging
 import math
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -54,6 +55,19 @@ def test_a_body_falls_onto_the_floor_or_onto_another_and_stays_there(arm: Driven
     arm.tick(50)
     assert world.moved_bodies(every=False) is None
     assert isinstance(world.moved_bodies(every=True), BodyStates)
+
+
+@pytest.mark.parametrize("place", [0, 4], ids=["position", "orientation"])
+def test_a_body_that_only_moved_or_only_turned_has_moved(arm: Driven, place: int) -> None:
+    world = world_of(arm)
+    world.set_bodies(SetBodies(1, (box("cube", FAR),)))
+    assert world.moved_bodies(every=False) is not None
+    at = world.model.jnt_qposadr[world.model.body("object/cube").jntadr[0]]
+    world.data.qpos[at + place] += 0.02
+    world.data.qpos[at + 3 : at + 7] /= np.linalg.norm(world.data.qpos[at + 3 : at + 7])
+    mujoco.mj_forward(world.model, world.data)
+    assert world.moved_bodies(every=False) is not None
+    assert world.moved_bodies(every=False) is None
 
 
 def test_other_bodies_leave_arm_and_bodies_where_they_are(arm: Driven) -> None:

@@ -197,6 +197,7 @@ def test_the_newest_goals_that_were_taken_on_are_told_also_a_while_after_their_e
         world.send().finish(GoalStatus.SUCCEEDED, {})
     last = world.send()
     assert len(world.statuses) == MAX_PUBLISHED
+    assert len(world.actions._published["/grip"]) <= MAX_PUBLISHED + len(world.actions._offers["/grip"].requests)
     assert world.statuses[-1] == 2
     last.finish(GoalStatus.ABORTED, {})
     assert world.statuses[-1] == 6

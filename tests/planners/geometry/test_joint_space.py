@@ -170,8 +170,8 @@ def test_a_motion_may_leave_an_allowed_contact_but_not_deepen_it(space_in, chang
     # The margin is far wider than the clearance, and no parts are known that could be further apart.
     ((_, clearance_m),) = space.near(start, np.full(len(space.approach_m_per_rad), 0.05))
     assert 0.0 < clearance_m < 0.001
-    assert line_free(space, start, start + (0.0, -0.5, 0.0))
-    assert not line_free(space, start, start + (0.0, 0.3, 0.0))
+    assert line_free(space, start, start + np.array([0.0, -0.5, 0.0]))
+    assert not line_free(space, start, start + np.array([0.0, 0.3, 0.0]))
 
 
 def test_an_allowed_contact_does_not_come_again_further_on(changing, arm):

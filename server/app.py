@@ -67,6 +67,9 @@ log = logging.getLogger("armbridge")
 # Longest stop of all parts together, without the arm's end [s].
 STOP_TOTAL_S = 2.6
 
+# Far more than there are places of files: of each, a disk that never answers holds one thread at most.
+THREADS = 32
+
 # More than the arm's handle gives its process [s].
 ARM_STOP_S = CLOSE_LIMIT_S + 10.0
 
@@ -85,7 +88,7 @@ def serve(settings: Settings, arm_process: StartedChild | None = None, inherited
     notifier = SystemdNotifier.from_environment()
 
     async def run(settings: Settings) -> None:
-        asyncio.get_running_loop().set_default_executor(Threads())
+        asyncio.get_running_loop().set_default_executor(Threads(THREADS))
         app = App(settings, arm_process, inherited, notifier=notifier)
         while (following := await app.run()) is not None:
             settings, recalibrated = following

@@ -1,6 +1,7 @@
 """Files that several servers may share: JSON, by name in one folder (taught motions, saved scenes), and series."""
 
 import asyncio
+import errno
 import json
 import re
 from collections.abc import Callable
@@ -26,16 +27,44 @@ SUFFIX = ".json"
 Result = TypeVar("Result")
 
 
-async def in_thread(path: Path, failure: str, work: Callable[[], Result]) -> Result:
-    """Do work that waits for the disk, or raise ServiceError whose sentence begins with `failure`."""
-    try:
-        return await asyncio.wait_for(asyncio.to_thread(work), TIMEOUT_S)
-    except TimeoutError as error:
-        raise ServiceError(f"{failure} within {TIMEOUT_S:g} s: the disk does not answer") from error
-    except OSError as error:
-        raise ServiceError(f"{failure}: {path}: {error.strerror}") from error
-    except ValueError as error:
-        raise ServiceError(f"{failure}: {error}") from error
+class Disk:
+    """Work on files of one place in a thread, one after the other: a disk that never answers holds one thread."""
+
+    def __init__(self, timeout_s: float = TIMEOUT_S) -> None:
+        self._timeout_s = timeout_s
+        self._one_at_a_time = asyncio.Lock()
+        self._work: asyncio.Task[Any] | None = None
+        self._until_s = 0.0
+
+    async def do(self, work: Callable[[], Result]) -> Result:
+        """Return the result of work, or raise its error.
+
+        Raises OSError for work that does not end in time, and at once for work behind it.
+        """
+        async with self._one_at_a_time:
+            # Work goes on though its caller has left, or has its error.
+            await self._end_of_work()
+            self._work = doing = asyncio.create_task(asyncio.to_thread(work))
+            self._until_s = asyncio.get_running_loop().time() + self._timeout_s
+            # Nobody may be left to take its error.
+            doing.add_done_callback(lambda done: done.cancelled() or done.exception())
+            await self._end_of_work()
+            return doing.result()
+
+    async def _end_of_work(self) -> None:
+        if self._work is not None and not self._work.done():
+            left_s = max(0.0, self._until_s - asyncio.get_running_loop().time())
+            if not (await asyncio.wait([self._work], timeout=left_s))[0]:
+                raise OSError(errno.ETIMEDOUT, f"the disk does not answer within {self._timeout_s:g} s")
+
+    async def serve(self, path: Path | str, failure: str, work: Callable[[], Result]) -> Result:
+        """Do work on a file, or raise ServiceError whose sentence begins with `failure`."""
+        try:
+            return await self.do(work)
+        except OSError as error:
+            raise ServiceError(f"{failure}: {path}: {error.strerror}") from error
+        except ValueError as error:
+            raise ServiceError(f"{failure}: {error}") from error
 
 
 def read_json(path: Path, max_bytes: int) -> Any:
@@ -57,9 +86,10 @@ class NamedFiles:
         self._folder = folder
         self._kind = kind
         self._max_files = max_files
+        self._disk = Disk()
 
     async def names(self) -> list[str]:
-        return await in_thread(self._folder, f"the saved {self._kind}s cannot be listed", self._names)
+        return await self._disk.serve(self._folder, f"the saved {self._kind}s cannot be listed", self._names)
 
     async def check_new(self, name: str) -> None:
         """Check that a file can be saved under a name that is not taken."""
@@ -105,7 +135,7 @@ class NamedFiles:
         await self._in_thread(name, "renamed", rename)
 
     async def _in_thread(self, name: str, done: str, work: Callable[[], Result]) -> Result:
-        return await in_thread(self._folder, f"the {self._kind} {name!r} cannot be {done}", work)
+        return await self._disk.serve(self._folder, f"the {self._kind} {name!r} cannot be {done}", work)
 
     def _path(self, name: str, field: str = "name") -> Path:
         """Return the file of a name; `field` names the name in refusals."""

@@ -43,12 +43,8 @@ class RobotFiles:
         )
 
     def read(self, name: str) -> bytes:
-        """Return the content of a file, named as for :meth:`find`; raises ServiceError."""
-        path = self.find(name)
-        try:
-            return path.read_bytes()
-        except OSError as error:
-            raise ServiceError(f"name: {name!r} cannot be read: {error.strerror}") from error
+        """Return the content of a file, named as for :meth:`find`; raises ServiceError or OSError."""
+        return self.find(name).read_bytes()
 
     @cached_property
     def _mesh_folders(self) -> dict[str, Path]:

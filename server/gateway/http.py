@@ -6,7 +6,6 @@ are read, compressed and named by their content once, and kept while they do not
 
 from __future__ import annotations
 
-import asyncio
 import gzip
 import hashlib
 import json
@@ -30,6 +29,7 @@ from robot.logs import LogLimiter
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.permissions import Identity
 from server.installation import DOCS_DIRECTORY, PAGE_DIRECTORY
+from server.named_files import Disk
 from server.robot_files import RobotFiles, file_below, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")
@@ -146,6 +146,9 @@ MIN_GZIP_BYTES = 1000
 # Twice the time of the lowest level for a tenth less; more gains nothing on scripts and meshes.
 GZIP_LEVEL = 6
 
+# A slow machine compresses 10 MB a second: time for a large mesh [s].
+READING_TIMEOUT_S = 30.0
+
 # 96 bits tell all files ever served apart.
 ETAG_DIGITS = 24
 
@@ -180,12 +183,11 @@ class FileCache:
         self._limit_bytes = limit_bytes
         self._kept: OrderedDict[_Key, StoredFile] = OrderedDict()
         self._kept_bytes = 0
-        self._one_at_a_time = asyncio.Lock()
+        self._disk = Disk(READING_TIMEOUT_S)
 
     async def read(self, find: Callable[[], Path], *, gzipped: bool) -> StoredFile:
         """Return a file from cache or disk, or raise OSError; ``find`` returns its path, on the thread."""
-        async with self._one_at_a_time:
-            return await asyncio.to_thread(self._read, find, gzipped)
+        return await self._disk.do(lambda: self._read(find, gzipped))
 
     def _read(self, find: Callable[[], Path], gzipped: bool) -> StoredFile:
         path = find()

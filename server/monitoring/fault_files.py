@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from robot.messages import ArmHealth, ArmState, Mode
 from server.monitoring.log_ring import LogRing
-from server.named_files import FileSeries
+from server.named_files import Disk, FileSeries
 
 log = logging.getLogger("armbridge.monitoring")
 
@@ -34,9 +34,6 @@ MAX_STATES = 1000
 
 # A client that causes and resets faults without end must not wear out a memory card; the next file logs this fault.
 LEAST_INTERVAL_S = 10.0
-
-# A disk that takes longer keeps the file to itself.
-WRITING_TIMEOUT_S = 5.0
 
 # Arrays of a state that are kept.
 _QUANTITIES = ("position_rad", "goal_rad", "load", "current_a")
@@ -59,6 +56,7 @@ class FaultFiles:
     ) -> None:
         self._files = FileSeries(directory, PREFIX, ".jsonl", keep) if keep else None
         self._directory = directory
+        self._disk = Disk()
         self._log_ring = log_ring
         self._robot_name = robot_name
         self._clock = clock
@@ -124,9 +122,7 @@ class FaultFiles:
             return b"".join(orjson.dumps(line, option=options) for line in (*head, *map(_state_line, samples)))
 
         try:
-            self.latest = await asyncio.wait_for(asyncio.to_thread(series.add, name, content), WRITING_TIMEOUT_S)
-        except TimeoutError:
-            log.warning("the file about this fault is not written to %s in %g s", self._directory, WRITING_TIMEOUT_S)
+            self.latest = await self._disk.do(lambda: series.add(name, content))
         except OSError as error:
             log.warning("the file about this fault cannot be written to %s: %s", self._directory, error)
         else:

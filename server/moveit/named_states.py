@@ -5,7 +5,6 @@ The services have the names and types of moveit_ros_warehouse's node warehouse_s
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import difflib
 import json
@@ -27,7 +26,7 @@ from server.graph.permissions import CONFIGURING, LOOKING, Rule
 from server.graph.services import Answered, ServiceFunction
 from server.graph.topics import Graph
 from server.moveit.messages import Message
-from server.named_files import in_thread, read_json, set_aside
+from server.named_files import Disk, read_json, set_aside
 
 log = logging.getLogger("armbridge.named_states")
 
@@ -65,7 +64,7 @@ class NamedStates:
         self._states_of_groups = robot.named_states
         self.described: Mapping[str, Positions] = robot.named_states.get(group, {})
         self._path = path
-        self._changing = asyncio.Lock()
+        self._disk = Disk()
         self._listeners: list[Callable[[], None]] = []
         self.saved = self._usable(self._load())
 
@@ -139,9 +138,8 @@ class NamedStates:
         return spelled
 
     async def _change(self, change: Change) -> None:
-        async with self._changing:
-            states = await in_thread(self._path, "the state cannot be kept", lambda: self._write(change))
-            self.saved = self._usable(states)
+        states = await self._disk.serve(self._path, "the state cannot be kept", lambda: self._write(change))
+        self.saved = self._usable(states)
         self._changed()
 
     def _changed(self) -> None:

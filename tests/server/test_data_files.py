@@ -1,18 +1,21 @@
 """Files of the data directory that older and newer versions have written."""
 
+import asyncio
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from server.config import Settings
+from server.errors import ServiceError
 from server.features.moveit import kept_scene_path
 from server.graph.message_types import MessageTypes
 from server.moveit.named_states import NamedStates
 from server.moveit.scene.saved_scene import complete_scene
-from server.named_files import FileSeries, read_json, set_aside
+from server.named_files import TIMEOUT_S, Disk, FileSeries, read_json, set_aside
 from server.teaching.taught_motion import MotionFiles
 from tests.helpers.clock import FakeClock
 from tests.helpers.moveit import REGISTRY, ROBOT
@@ -71,3 +74,25 @@ def test_files_that_are_set_aside_never_take_each_others_place(tmp_path: Path) -
         "states.json.broken.1": "1",
         "states.json.broken.2": "2",
     }
+
+
+@pytest.mark.stepped_time
+async def test_work_behind_work_that_does_not_end_is_refused_at_once_until_the_disk_answers_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    answers, loop, disk = asyncio.Event(), asyncio.get_running_loop(), Disk()
+
+    async def in_thread(work: Callable[[], object]) -> object:
+        await answers.wait()
+        return work()
+
+    monkeypatch.setattr(asyncio, "to_thread", in_thread)
+    began_s = loop.time()
+    outcomes = await asyncio.gather(*(disk.do(list) for _ in range(5)), return_exceptions=True)
+    assert [str(outcome) for outcome in outcomes] == 5 * ["[Errno 110] the disk does not answer within 5 s"]
+    assert loop.time() == pytest.approx(began_s + TIMEOUT_S)
+    with pytest.raises(ServiceError, match="the file cannot be read: it: the disk does not answer"):
+        await disk.serve("it", "the file cannot be read", list)
+    answers.set()
+    await asyncio.sleep(0.0)
+    assert await disk.do(lambda: 3) == 3

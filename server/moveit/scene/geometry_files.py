@@ -6,7 +6,6 @@ figures, pose and colour, and the number of its subframes, each with name and po
 Files of older versions have neither the objects' poses nor subframes.
 """
 
-import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from pathlib import Path
@@ -24,6 +23,7 @@ from server.moveit.scene import collision_objects as shapes
 from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, CollisionObject
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
+from server.named_files import Disk
 
 log = logging.getLogger("armbridge.scene")
 
@@ -207,33 +207,37 @@ _READERS: Mapping[str, tuple[str, Callable[[_Lines], Message]]] = {
 
 
 def offer_geometry_files(node: LocalNode, state: SceneState, current: CurrentState, directory: Path | None) -> None:
-    async def save(path: Path) -> None:
-        try:
-            await asyncio.to_thread(_write_bounded, path, state.contents)
-        except OSError as error:
-            raise invalid(f"{path} cannot be written: {error}") from error
+    disk = Disk()
 
-    def read_world(path: Path) -> Message:
+    async def save(name: str) -> None:
+        contents = state.contents
+        try:
+            await disk.do(lambda: _write_bounded(file_within(directory, name), contents))
+        except OSError as error:
+            raise invalid(f"{name} cannot be written: {error}") from error
+
+    def read_world(name: str) -> Message:
+        path = file_within(directory, name)
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
             raise invalid(f"{path} has {size} bytes, more than {MAX_FILE_BYTES}")
         objects = {"collision_objects": read_geometry(path.read_text(), state.frame)}
         return node.message_types.complete("moveit_msgs/msg/PlanningSceneWorld", objects)
 
-    async def load(path: Path) -> None:
+    async def load(name: str) -> None:
         try:
-            world = await asyncio.to_thread(read_world, path)
+            world = await disk.do(lambda: read_world(name))
         except (OSError, UnicodeDecodeError) as error:
-            raise invalid(f"{path} cannot be read: {error}") from error
+            raise invalid(f"{name} cannot be read: {error}") from error
         except MessageError as error:
-            raise invalid(f"{path}: {error}") from error
+            raise invalid(f"{name}: {error}") from error
         # As in MoveIt, objects that the file does not name stay.
         await state.change(state.diff({"is_diff": True, "world": world}), current.positions_rad())
 
-    def offer(service: str, type_name: str, work: Callable[[Path], Awaitable[None]], rule: Rule) -> None:
+    def offer(service: str, type_name: str, work: Callable[[str], Awaitable[None]], rule: Rule) -> None:
         async def serve(request: Message) -> Message:
             try:
-                await work(file_within(directory, request["file_path_and_name"]))
+                await work(request["file_path_and_name"])
             except RefusedError as error:
                 # The response has no field for the reason.
                 log.warning("%s: %s", service, error)

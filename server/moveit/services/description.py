@@ -8,7 +8,6 @@ by a service, which names a topic. A transform is sent again once it has moved b
 ``/armbridge/robot`` has the joint groups as JSON, for a page that reads neither URDF nor SRDF for them.
 """
 
-import asyncio
 import base64
 import functools
 import itertools
@@ -36,6 +35,7 @@ from server.moveit.messages import Message, pose_of, write_transform
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.constraints import planning_group, tip_link
 from server.moveit.scene.frames import Frames, seen_from
+from server.named_files import Disk
 from server.robot_files import RobotFiles, with_package_urls
 
 log = logging.getLogger("armbridge.description")
@@ -55,7 +55,7 @@ EARLY_S = 0.005
 
 
 def offer_description(graph: Graph, robot: RobotModel, keep_parameter: Callable[[str, str], None]) -> None:
-    node, files = graph.node("robot description"), RobotFiles(robot)
+    node, files, disk = graph.node("robot description"), RobotFiles(robot), Disk()
     texts = {URDF_TOPIC: with_package_urls(robot), SRDF_TOPIC: robot.srdf}
     for topic, text in texts.items():
         node.advertise(topic, "std_msgs/String", latch=True)
@@ -66,8 +66,8 @@ def offer_description(graph: Graph, robot: RobotModel, keep_parameter: Callable[
             keep_parameter(parameter, json.dumps(text))
 
     async def get_file(request: dict[str, Any]) -> dict[str, Any]:
-        # A slow disk must not hold up whatever else the server does; the call itself is bounded.
-        octets = await asyncio.to_thread(files.read, request["name"])
+        name = request["name"]
+        octets = await disk.serve(name, "name: it cannot be read", lambda: files.read(name))
         return {"value": base64.b64encode(octets).decode("ascii")}
 
     node.offer(FILE_SERVICE, "file_server/GetBinaryFile", get_file, rule=LOOKING)

@@ -88,13 +88,15 @@ async def test_an_arm_that_was_led_by_hand_follows_the_same_path_again_and_brake
     assert "crate" in braked["message"]
 
 
-async def test_a_disk_that_does_not_answer_keeps_no_server_from_its_end(tmp_path: Path) -> None:
-    stuck = tmp_path / "armbridge" / "motions_so101" / "stuck.json"
+async def test_a_disk_that_does_not_answer_keeps_no_server_from_its_work_nor_its_end(tmp_path: Path) -> None:
+    stuck = tmp_path / "armbridge" / "scenes_so101" / "stuck.json"
     stuck.parent.mkdir(parents=True)
     os.mkfifo(stuck)
     with RunningServer("--port 0", {"XDG_DATA_HOME": str(tmp_path)}) as server:
         async with arm_client(server.url) as client:
-            await client.say("call_service", service="/teach/get", args={"name": "stuck"})
+            for _ in range(40):
+                await client.say("call_service", service="/arm/scenes/load", args={"name": "stuck"})
+            assert (await client.call("/teach/list"))["names"] == []
             # It can be opened once the server reads it.
             with await asyncio.to_thread(stuck.open, "wb"):
                 code, _ = await asyncio.to_thread(server.end, signal.SIGTERM)

@@ -162,6 +162,18 @@ def test_a_person_approves_each_motion(server: RunningServer, agent: Agent) -> N
         assert "this program cannot ask a person" in refusal(alone("move", named="ready"))
 
 
+@pytest.mark.parametrize("options", [(), ("--region=-1,-1,-1,1,1,1",)], ids=["", "region"])
+def test_a_motion_that_is_planned_when_a_stop_comes_does_not_begin(
+    server: RunningServer, options: tuple[str, ...]
+) -> None:
+    with begun(server, "--approval", "none", *options) as agent:
+        sentence(agent("move", named="home"))
+        for pose in ("ready", "rest", "ready", "rest"):
+            moving = agent.begin_tool("move", named=pose)
+            sentence(agent("stop"))
+            assert "stopped" in refusal(agent.end_tool(moving))
+
+
 def test_with_the_role_propose_the_server_asks(guarded: RunningServer) -> None:
     with connect(guarded.url, token=PERSON) as person, begun(guarded, mode="nobody", token=MODEL) as agent:
         assert sentence(agent("check", named="ready")).startswith("Possible")

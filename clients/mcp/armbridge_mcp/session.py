@@ -76,17 +76,21 @@ class Options:
     region: Region | None = None
 
 
+# Stops by this program's tool, and the number of the arm's last stop.
+Stops = tuple[int, str]
+
+
 @dataclass(frozen=True)
 class Question:
     """Question about a motion that waits for a person's answer.
 
     Attributes:
-        last_stop: number of the arm's last stop when it was asked.
+        stops: the stops before it was asked.
         until_s: time at which it expires, by the session's clock [s].
     """
 
     text: str
-    last_stop: str
+    stops: Stops
     until_s: float
 
 
@@ -105,6 +109,7 @@ class Session:
         self._connecting = asyncio.Lock()
         self._arm: AsyncArm | None = None
         self._question: Question | None = None
+        self._own_stops = 0
 
     async def close(self) -> None:
         """Disconnect; the server stops this client's motions."""
@@ -140,7 +145,7 @@ class Session:
             if waiting.text != text:
                 raise LimitError(f"another motion waits for approval: {waiting.text} Wait for its answer, or call stop")
             return
-        self._question = Question(text, await self.last_stop(), self._clock() + APPROVAL_S)
+        self._question = Question(text, await self.stops(), self._clock() + APPROVAL_S)
 
     async def take_answer(self, *, accepted: bool) -> None:
         """Take a person's answer.
@@ -155,16 +160,27 @@ class Session:
             raise LimitError(
                 f"the approval came after a stop, or later than {APPROVAL_S:g} s: nothing moved; ask again"
             )
-        if await self.last_stop() != question.last_stop:
-            raise LimitError("the arm was stopped while the approval waited: nothing moved; ask again")
+        await self.check_stops(question.stops)
 
-    def forget_question(self) -> None:
-        """Forget the motion that waits, because of a stop."""
+    def note_stop(self) -> None:
+        """Note that the arm is being stopped; motions that wait or are planned do not begin."""
+        self._own_stops += 1
         self._question = None
 
-    async def last_stop(self) -> str:
-        """Return the number of the arm's last stop."""
-        return (await self.values()).get("last_stop", "")
+    async def stops(self) -> Stops:
+        """Return the stops so far, with every stop of this program that was noted before this call."""
+        own = self._own_stops
+        return own, (await self.values()).get("last_stop", "")
+
+    async def check_stops(self, before: Stops) -> None:
+        """Check that the arm was not stopped since earlier stops were counted.
+
+        Raises:
+            LimitError: it was.
+        """
+        _, last = await self.stops()
+        if (self._own_stops, last) != before:
+            raise LimitError("the arm was stopped before this motion began: nothing moved; ask again")
 
     async def values(self) -> Mapping[str, str]:
         """Return the values of ``/arm/state``."""

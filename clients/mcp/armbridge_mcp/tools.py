@@ -19,6 +19,7 @@ from armbridge_mcp.session import (
     PROPOSAL_S,
     Options,
     Session,
+    Stops,
     point_text,
     suggestion_of,
 )
@@ -105,6 +106,11 @@ def make_server(options: Options) -> MCPServer[None]:
         where = f" to {position:g}" if action == "move" else ""
         return await approve(f"Gripper: {action}{where}{f' with force {force:g}' if force else ''}?", context)
 
+    async def stops() -> Stops:
+        """Return the stops before a motion is asked for."""
+        with sentences():
+            return await session.stops()
+
     async def take(answer: Answer, *, server_asks: bool) -> None:
         if options.asks and not server_asks:
             accepted = isinstance(answer, AcceptedElicitation) and answer.data.approve
@@ -151,6 +157,7 @@ def make_server(options: Options) -> MCPServer[None]:
 
     @server.tool()
     async def move(
+        before: Annotated[Stops, Resolve(stops)],
         answer: Annotated[Answer, Resolve(approve_motion)],
         x: Number | None = None,
         y: Number | None = None,
@@ -165,9 +172,12 @@ def make_server(options: Options) -> MCPServer[None]:
             target = session_target(session, x, y, z, joints, named)
             share = limited_speed(speed, options.max_speed)
             async with alone(session):
-                planned = await session.plan(target, share)
-                if await session.proposes():
-                    await (await session.arm()).move(target, speed=share, timeout_s=PROPOSAL_S)
+                # Without a region the server plans: a stop from now on ends the goal, wherever it is.
+                planned = await session.plan(target, share) if options.region else None
+                arm, proposes = await session.arm(), await session.proposes()
+                await session.check_stops(before)
+                if planned is None or proposes:
+                    await arm.move(target, speed=share, timeout_s=PROPOSAL_S)
                 else:
                     await planned.execute(timeout_s=60.0 + 2.0 * planned.duration_s)
             await until_rest(await session.arm())
@@ -176,6 +186,7 @@ def make_server(options: Options) -> MCPServer[None]:
     @server.tool()
     async def gripper(
         action: Literal["open", "close", "move"],
+        before: Annotated[Stops, Resolve(stops)],
         answer: Annotated[Answer, Resolve(approve_grip)],
         position: Number = 0.0,
         force: Number = 0.0,
@@ -191,6 +202,7 @@ def make_server(options: Options) -> MCPServer[None]:
             closed, opened = await arm.gripper.range()
             wanted = {"open": opened, "close": closed, "move": position}[action]
             async with alone(session):
+                await session.check_stops(before)
                 grip = await arm.gripper.move(wanted, force)
             return short(f"The gripper is at {grip.position:.3f}{' and holds an object' if grip.holds else ''}.")
 
@@ -225,7 +237,7 @@ def make_server(options: Options) -> MCPServer[None]:
     @server.tool(annotations=ToolAnnotations(destructive_hint=False, idempotent_hint=True))
     async def stop() -> str:
         """Stop the arm at once, along its path, and forget a motion that waits for approval."""
-        session.forget_question()
+        session.note_stop()
         with sentences():
             return short(await (await session.arm()).stop())
 

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from planners.errors import ShapeError
 from planners.geometry.shapes import frame_of_link
+from robot.description.meshes import surface_file
 from robot.description.model import LinkSurface
+from robot.errors import DescriptionError
 from robot.trajectory import Vector
 
 UNIT_M = 1e-5  # coordinates in files are multiples of this [m]
@@ -104,17 +106,16 @@ def load_surfaces(surfaces: Mapping[str, LinkSurface], model: pin.Model) -> Iter
     """Yield each link with its surface, in the frame of the joint that carries it; ShapeError: the file is unfit."""
     for link, surface in surfaces.items():
         try:
-            with np.load(surface.path, allow_pickle=False) as file:
-                vertices, triangles = file[f"{surface.link}.vertices"], file[f"{surface.link}.triangles"]
-        except (OSError, ValueError, KeyError) as error:
-            raise ShapeError(link, f"the surface cannot be read from {surface.path}: {error}") from error
-        if vertices.shape[1:] != (3,) or triangles.shape[1:] != (3,) or not len(triangles):
-            raise ShapeError(link, f"{surface.path} must have vertices and triangles of shape (n, 3)")
+            with surface_file(surface.path) as arrays:
+                vertices, triangles = arrays[f"{surface.link}.vertices"], arrays[f"{surface.link}.triangles"]
+        except DescriptionError as error:
+            raise ShapeError(link, f"the surface {error}") from error
+        if not all(each.dtype.kind == "i" and each.shape[1:] == (3,) and each.size for each in (vertices, triangles)):
+            raise ShapeError(link, f"{surface.path} must have vertices and triangles: integers of shape (n, 3)")
         if triangles.min() < 0 or triangles.max() >= len(vertices):
             raise ShapeError(link, f"{surface.path} has triangles without vertices")
-        frame = model.frames[frame_of_link(model, link)]
-        vertices_m = UNIT_M * vertices @ frame.placement.rotation.T + frame.placement.translation
-        yield link, TriangleSurface(vertices_m, triangles)
+        place = model.frames[frame_of_link(model, link)].placement
+        yield link, TriangleSurface(UNIT_M * vertices @ place.rotation.T + place.translation, triangles)
 
 
 def of_meshes(meshes: Sequence[PlacedMesh]) -> TriangleSurface:
@@ -163,8 +164,7 @@ def packed(vertices_m: Vector, triangles: NDArray[np.int64]) -> tuple[NDArray[np
     found = numbers.ravel()[triangles].astype(np.int32)
     a, b, c = found.T
     found = found[(a != b) & (b != c) & (c != a)]
-    _, once = np.unique(np.sort(found, axis=1), axis=0, return_index=True)
-    found = found[once]
+    found = found[np.unique(np.sort(found, axis=1), axis=0, return_index=True)[1]]
     found = found[np.argsort(_along_a_curve(vertices[found].mean(axis=1)), kind="stable")]
     # Vertices in the order of their use make a smaller file.
     used, first = np.unique(found, return_index=True)

@@ -7,13 +7,23 @@ folder NAME there, and in the folder itself where it is the package (the standar
 import logging
 import os
 import xml.etree.ElementTree as ET
+import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
+
+import numpy as np
+from numpy.typing import NDArray
 
 from robot.errors import DescriptionError
 
 log = logging.getLogger("armbridge.description")
+
+# Two million triangles and their vertices; the surfaces of the SO-101 have 6 MB.
+MAX_SURFACES_BYTES = 50_000_000
 
 # A million triangles of binary STL, which take 0.7 GB and 6 s to load.
 MAX_MESH_BYTES = 50_000_000
@@ -47,6 +57,25 @@ def find_mesh(name: str, directory: Path | None, packages: Sequence[Path]) -> Pa
         package = name.removeprefix(_PACKAGE).partition("/")[0]
         remedy = f"give the folder that contains the package {package!r}, with --package-path or ROS_PACKAGE_PATH"
     raise DescriptionError(f"mesh {name!r}", f"is not there: {remedy}; tried: {places}")
+
+
+@contextmanager
+def surface_file(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
+    """Open a file of the links' surfaces, whose arrays are read when they are asked for.
+
+    Raises DescriptionError for a file that cannot be read, that lacks an array, or that is too large when unpacked.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            size_bytes = sum(each.file_size for each in archive.infolist())
+        if size_bytes <= MAX_SURFACES_BYTES:
+            with np.load(path, allow_pickle=False) as arrays:
+                yield arrays
+            return
+    # An array's header may ask for any amount of memory.
+    except (OSError, ValueError, KeyError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
+        raise DescriptionError(str(path), f"cannot be read: {error}") from error
+    raise DescriptionError(str(path), f"unpacks to {size_bytes} bytes, {MAX_SURFACES_BYTES} are allowed")
 
 
 def check_meshes(urdf: str, source: str, directory: Path, packages: Sequence[Path]) -> None:

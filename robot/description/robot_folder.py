@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 import robot.arms
 from robot.description import model, robot_file
 from robot.description.camera import Camera
+from robot.description.meshes import surface_file
 from robot.description.model import GripperModel, Hull, JointLimits, LinkSurface, RobotModel
 from robot.description.robot_file import HardwareSection, RobotFile, ServoTable
 from robot.description.servo_table import MAX_HOMING_OFFSET, HardwareTable, ServoSpec, Zero, ZeroTick
@@ -309,11 +310,8 @@ def _parts(path: Path) -> dict[str, tuple[NDArray[np.float64], ...]]:
 
 
 def _surfaces(path: Path) -> dict[str, LinkSurface]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            names = file.files
-    except (OSError, ValueError) as error:
-        raise DescriptionError(str(path), f"cannot be read: {error}") from error
+    with surface_file(path) as arrays:
+        names = list(arrays)
     return {link: LinkSurface(path, link) for link in dict.fromkeys(name.rpartition(".")[0] for name in names)}
 
 

@@ -1,5 +1,8 @@
 """Bodies smaller than a link is thick, inside its material and just outside of it."""
 
+import io
+import zipfile
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -11,6 +14,7 @@ from planners.geometry.certificate import certify, line_free
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.shapes import kinematic_urdf
 from planners.scene import AttachedObject, Cylinder, Mesh, Sphere
+from robot.description.meshes import MAX_SURFACES_BYTES
 from robot.description.model import LinkSurface
 from robot.trajectory import Trajectory
 from tests.helpers.resources import in_proportion
@@ -152,16 +156,31 @@ def test_each_body_of_a_surface_has_its_outermost_points_and_packing_drops_what_
 
 def test_a_file_that_is_none_of_surfaces_is_named(tmp_path, robot) -> None:
     path, pin_model = tmp_path / "surfaces.npz", pin.buildModelFromXML(kinematic_urdf(robot))
-    vertices = np.zeros((3, 3), np.int16)
+    vertices, triangle = np.zeros((3, 3), np.int16), np.array([[0, 1, 2]], np.int32)
+    whole, endless = io.BytesIO(), io.BytesIO()
+    np.savez(whole, **{"boom.vertices": vertices, "boom.triangles": triangle})
+    with zipfile.ZipFile(endless, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("boom.triangles.npy", bytes(2 * MAX_SURFACES_BYTES))
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<i4", "fortran_order": False, "shape": (1 << 50, 3)})
+    asks_for_all = io.BytesIO()
+    with zipfile.ZipFile(asks_for_all, "w") as archive:
+        archive.writestr("boom.vertices.npy", header.getvalue())
     for content, problem in (
-        (None, "cannot be read"),
+        (b"no numbers", "cannot be read"),
+        (whole.getvalue()[:-30], "cannot be read"),
+        (whole.getvalue().replace(b"\x02\x00\x00\x00", b"\x01\x00\x00\x00", 1), "cannot be read"),
+        (endless.getvalue(), "unpacks to 100000"),
+        (asks_for_all.getvalue(), "cannot be read"),
+        ({"boom.vertices": np.full((3, 3), np.nan), "boom.triangles": triangle}, "integers"),
+        ({"boom.vertices": vertices, "boom.triangles": triangle.astype(float)}, "integers"),
         ({"other.vertices": vertices}, "cannot be read"),
         ({"boom.vertices": vertices, "boom.triangles": np.zeros((0, 3), np.int32)}, "shape (n, 3)"),
         ({"boom.vertices": vertices[:, :2], "boom.triangles": np.zeros((1, 3), np.int32)}, "shape (n, 3)"),
         ({"boom.vertices": vertices, "boom.triangles": np.full((1, 3), 3, np.int32)}, "without vertices"),
     ):
-        if content is None:
-            path.write_text("no numbers")
+        if isinstance(content, bytes):
+            path.write_bytes(content)
         else:
             np.savez(path, **content)
         with pytest.raises(ShapeError) as error:

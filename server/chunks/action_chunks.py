@@ -301,6 +301,13 @@ class ActionChunks:
         node.offer(PAUSE, "std_srvs/Trigger", self._pause, rule=WORKING)
         node.offer_calls(RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
         node.offer(STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)
+        graph.graph.on_leave(self._leave)
+
+    def _leave(self, client: Node) -> None:
+        """Brake on the path of a chunk whose client has left, if it takes its goals along."""
+        followed = self._followed
+        if client.takes_goals_along and followed is not None and followed.publisher is client and not followed.over:
+            self._queue.cancel(followed.number, f"{client} has left")
 
     async def close(self) -> None:
         if self._gripper is not None:

@@ -132,6 +132,7 @@ class Graph:
         self.subscriptions: Index[Node, str] = Index()
         self._latched_messages = LatchedMessages()
         self._watchers: tuple[Watcher, ...] = ()
+        self._leave_listeners: tuple[Callable[[Node], None], ...] = ()
         self.rules: dict[str, Rule] = {}  # rules of publishing on the topics that local parts subscribe to, by name
         self.remarks: Mapping[str, str] = {}  # sentences for the clients that publish on a topic, by name
         self.revision = 0  # number of changes in who publishes, latches or subscribes to which topic
@@ -249,7 +250,13 @@ class Graph:
             self.subscriptions.discard(node, name)
             self._left(topic)
 
+    def on_leave(self, listener: Callable[[Node], None]) -> None:
+        """Call ``listener`` with each client that leaves from now on."""
+        self._leave_listeners = (*self._leave_listeners, listener)
+
     def remove(self, node: Node) -> None:
+        for listener in self._leave_listeners:
+            listener(node)
         self.actions.remove(node)
         self.services.remove(node)
         for name in self.publications.of(node):

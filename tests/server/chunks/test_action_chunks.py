@@ -126,6 +126,19 @@ async def test_a_chunk_is_answered_at_once_and_followed_to_its_end(policy: Polic
     assert len(policy.answers) == 1
 
 
+@pytest.mark.parametrize("takes_along", [True, False])
+async def test_a_chunk_ends_when_its_client_leaves_if_that_takes_its_goals_along(
+    policy: Policy, takes_along: bool
+) -> None:
+    client = Node("policy", remote=True, takes_goals_along=takes_along)
+    await policy.send(0.5, chunk(ramp()), client)
+    policy.stage.graph.remove(client)
+    await asyncio.sleep(1.5)
+    assert (policy.here_rad < 0.3) is takes_along
+    assert policy.phase == PolicyPhase.IDLE
+    policy.assert_within_limits()
+
+
 class Joining(NamedTuple):
     blend: str = ""
     wobble_rad: float = 0.0

@@ -139,6 +139,7 @@ def test_limits_refuse_before_anybody_is_asked(agent: Agent) -> None:
     assert "exactly one of" in refusal(move(x=0.2, y=0.0, z=0.2, named="ready"))
     assert "speed must be above 0 and at most 0.2, not 0.9" in refusal(move(named="ready", speed=0.9))
     assert refusal(move(x="nan", y=0.0, z=0.2))
+    assert "joints has 51 names" in refusal(move(joints={f"joint_{number}": 0.1 for number in range(51)}))
     assert "would work: joints=" in refusal(agent("check", joints={"shoulder_pan": 9.0}))
     assert '"home" is a name of the server' in refusal(agent("remember", name="home"))
     assert len(agent.questions) == asked

@@ -41,6 +41,7 @@ MAX_ANSWER_CHARACTERS = 600
 RATE_HZ = 30  # of the states that are looked at for the arm's rest
 MAX_NAME_CHARACTERS = 60
 MAX_OBJECTS = 50
+MAX_JOINTS = 50  # as many as a person reads before approving
 
 # moveit_msgs/PlanningSceneComponents: object names and geometry, and attached objects.
 _OBJECTS = 4 | 8 | 16
@@ -284,6 +285,8 @@ def session_target(
     if given.count(True) != 1:
         raise LimitError("give exactly one of x, y and z together; joints; named")
     if joints:
+        if len(joints) > MAX_JOINTS:
+            raise LimitError(f"joints has {len(joints)} names, at most {MAX_JOINTS} are taken")
         return dict(joints)
     if named:
         return session.poses.get(named.strip().lower(), named)

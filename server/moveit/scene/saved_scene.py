@@ -27,7 +27,7 @@ from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.interface import EVERYTHING, NO_MATRIX, NO_STATE, scene_message
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
-from server.named_files import NamedFiles, read_json, set_aside
+from server.named_files import Disk, NamedFiles, read_json, set_aside
 
 log = logging.getLogger("armbridge.scene")
 
@@ -37,6 +37,9 @@ ATTACHED_TYPE = "moveit_msgs/msg/AttachedCollisionObject"
 
 # A scene of 1000 boxes has half a megabyte, a mesh of 200 000 triangles 15 MB; reading takes a second for 60 MB.
 MAX_FILE_BYTES = 64_000_000
+
+# A disk that takes longer keeps the scene, and the server begins without it.
+RESTORING_TIMEOUT_S = 20.0
 
 # A change is written after so long, with all that have come meanwhile: clients build scenes object by object, and move
 # objects many times a second.
@@ -52,6 +55,7 @@ class SavedScene:
     def __init__(self, path: Path, state: SceneState, message_types: MessageTypes) -> None:
         self._path = path
         self._lock = files.FileLock(path)
+        self._disk = Disk(RESTORING_TIMEOUT_S)
         self._state = state
         self._message_types = message_types
         self._kept = state.contents
@@ -65,7 +69,7 @@ class SavedScene:
         path = self._path
         try:
             # A server that is just ending is waited for.
-            await asyncio.to_thread(self._lock.acquire, files.LOCK_TIMEOUT_S)
+            await self._disk.do(lambda: self._lock.acquire(files.LOCK_TIMEOUT_S))
         except files.FileLockedError as error:
             remedy = "give one of the two servers a scene.file of its own"
             log.warning("the planning scene is not kept: %s %s; %s", path, error.strerror, remedy)
@@ -74,7 +78,7 @@ class SavedScene:
             log.warning("the planning scene is not kept in %s: %s", path, error.strerror)
             return
         try:
-            self._restore()
+            await self._restore()
         except OSError as error:
             self._lock.release()
             log.warning("the planning scene is not kept: %s cannot be read: %s", path, error.strerror)
@@ -94,9 +98,9 @@ class SavedScene:
         finally:
             self._lock.release()
 
-    def _restore(self) -> None:
+    async def _restore(self) -> None:
         try:
-            content = read_json(self._path, MAX_FILE_BYTES)
+            content = await self._disk.do(lambda: read_json(self._path, MAX_FILE_BYTES))
             self._state.apply_diff(complete_scene(self._message_types, content), None)
         except FileNotFoundError:
             return

@@ -3,6 +3,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -202,6 +203,21 @@ async def test_a_scene_that_is_too_large_is_told_once_and_leaves_no_older_one(
             await asyncio.sleep(WRITTEN_S)
         assert caplog.text.count("more than 100 bytes") == 1
         assert run.written() is None
+
+
+async def test_a_server_begins_without_a_scene_that_its_disk_does_not_give(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    inline = asyncio.to_thread
+
+    async def in_thread(work: Callable[[], object]) -> object:
+        # The lock is given, and the file is not.
+        monkeypatch.setattr(asyncio, "to_thread", lambda _work: asyncio.Event().wait())
+        return await inline(work)
+
+    monkeypatch.setattr(asyncio, "to_thread", in_thread)
+    await SavedScene(path, SceneState(ROBOT), MessageTypes(REGISTRY)).start()
+    assert f"not kept: {path} cannot be read: the disk does not answer within 20 s" in caplog.text
 
 
 async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(

@@ -132,7 +132,7 @@ def test_all_problems_of_the_files_are_told_at_once_and_what_is_missing_or_no_nu
     (folder / "robot.toml").write_text('[robot]\njoint_limits = "limits.yaml"')
     (folder / "limits.yaml").write_text("joint_limits: {a1: {has_velocity_limits: true, max_velocity: fast}}")
     (problem,) = robot_folder.problems(str(folder))
-    assert problem.endswith("joint_limits.a1.max_velocity must be a number, not 'fast'")
+    assert problem.endswith("joint_limits.a1.max_velocity must be a number, not 'fast' (at most 1e+06)")
     (folder / "robot.toml").write_text("")
     (folder / "seven.urdf").unlink()
     (problem,) = robot_folder.problems(str(folder))

@@ -55,7 +55,7 @@ PARTS = 5, 32
 ROUNDS = np.arange(PARTS[0])[:, np.newaxis]
 TRIES_A_ROUND = 4  # parts of a round that are tried, those first that save most
 SHRINK = 0.7  # parts become shorter by this factor from round to round, and longer again after a gain
-LEAST_GAIN_TICKS = 150  # a part that saves less does not pay for its checks [ticks]
+LEAST_GAIN_TICKS = 100  # a part that saves less does not pay for its checks [ticks]
 
 # Shares of a part's time at which it is checked first: of those that touch something few are free there.
 FIRST_LOOKS = np.array([0.5, 0.25, 0.75, 0.125, 0.375, 0.625, 0.875])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from typing import TypeAlias
 
 import coal
@@ -120,7 +121,7 @@ class Broadphase:
 
     def touches(self, q: Vector, left_out: frozenset[int] = NO_PAIRS) -> bool:
         """Return true if the shapes of any pair touch, or are nearer than they may be, but some that are left out."""
-        if left_out != self._left_out:
+        if left_out is not self._left_out and left_out != self._left_out:
             for pair in self._left_out:
                 self._any.activateCollisionPair(pair)
             for pair in left_out:
@@ -262,7 +263,8 @@ def _taken(results: Sequence[coal.CollisionResult]) -> list[tuple[int, float]]:
 
     A pair whose boxes are apart keeps the result it has.
     """
-    found = [(pair, result.distance_lower_bound) for pair, result in enumerate(results) if result.isCollision()]
-    for pair, _ in found:
+    touching = list(compress(range(len(results)), map(coal.CollisionResult.numContacts, results)))
+    found = [(pair, results[pair].distance_lower_bound) for pair in touching]
+    for pair in touching:
         results[pair].clear()
     return found

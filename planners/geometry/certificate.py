@@ -55,8 +55,8 @@ class Cubics:
     def point(self, piece: int, share: float) -> Vector:
         """Return the point at a share of a piece, shape (n,) [rad]."""
         rest = 1.0 - share
-        weights = (rest**3, 3.0 * share * rest**2, 3.0 * share**2 * rest, share**3)
-        return np.asarray(weights @ self.coefficients[piece])
+        weights = (rest * rest * rest, 3.0 * share * rest * rest, 3.0 * share * share * rest, share * share * share)
+        return np.asarray(np.dot(weights, self.coefficients[piece]))
 
 
 def first_contact(space: JointSpace, curve: Cubics, step_m: float) -> float | None:

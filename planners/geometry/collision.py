@@ -206,7 +206,9 @@ class CollisionModel:
         """Return true if a checked pair touches; the allowed names' pairs are among the ``refined`` ones."""
         if self._broadphase.touches(q, refined | self._unchanged if self._unchanged else refined):
             return True
-        touching = self._broadphase.touching_among(q, refined - self._unchanged) if refined else ()
+        if not refined:
+            return False
+        touching = self._broadphase.touching_among(q, refined - self._unchanged)
         return any(not self._is_allowed(pair, allowed) for pair in touching)
 
     def near(

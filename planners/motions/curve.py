@@ -18,6 +18,7 @@ trajectory planning", 2012.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -62,15 +63,18 @@ class Curve:
         """Length in time [ticks]."""
         return int(self.ticks[-1])
 
+    @cached_property
+    def _accelerations_rad_s2(self) -> Vector:
+        """Acceleration from each knot to the next, shape (k - 1, n)."""
+        return np.asarray(np.diff(self.velocities_rad_s, axis=0) / (TICK_S * np.diff(self.ticks))[:, np.newaxis])
+
     def at(self, ticks: Ticks | Vector) -> tuple[Vector, Vector, Vector]:
         """Positions, velocities and accelerations, shape (m, n) each, at times from 0 to the end [ticks]."""
         i = np.searchsorted(self.ticks[1:-1], ticks, side="right")
-        span_s = (TICK_S * np.diff(self.ticks))[i, np.newaxis]
         since_s = (TICK_S * (ticks - self.ticks[i]))[:, np.newaxis]
-        velocity = self.velocities_rad_s[i]
-        acceleration = (self.velocities_rad_s[i + 1] - velocity) / span_s
-        position = self.positions_rad[i] + since_s * (velocity + 0.5 * since_s * acceleration)
-        return position, velocity + since_s * acceleration, acceleration
+        velocity, acceleration = self.velocities_rad_s[i], self._accelerations_rad_s2[i]
+        gained = since_s * acceleration
+        return self.positions_rad[i] + since_s * (velocity + 0.5 * gained), velocity + gained, acceleration
 
     def stays_within(self, lower_rad: Vector, upper_rad: Vector) -> bool:
         """Tell whether no joint leaves its range, also at turning points between the knots."""
@@ -299,20 +303,21 @@ class Ways:
         # Whether all joints can, shape (m,).
         self.possible = (kept & (first + last <= self._ticks)).all(axis=1)
 
-    def halfway(self) -> Vector:
-        """Return the positions after half of each time, shape (m, n)."""
-        return self._at(slice(None), 0.5 * self._ticks)[0]
+    def places(self, chosen: NDArray[np.intp], shares: Vector) -> Vector:
+        """Return the positions of chosen ways after shares of their times, shape (chosen, shares, n)."""
+        ticks = shares[:, np.newaxis, np.newaxis] * self._ticks[chosen]
+        return self._at(chosen, ticks)[0].swapaxes(0, 1)
 
     def curve(self, i: int) -> Curve:
         """Return the curve of one way, with knots where any joint switches."""
         first, last, ticks = self._first[i], self._last[i], self._ticks[i]
-        knots = np.unique(np.concatenate(([0.0], first, ticks - last, ticks)))
+        knots = np.array(sorted({0.0, *first.tolist(), *(ticks - last).tolist(), *ticks.tolist()}))
         positions, velocities = self._at(i, knots[:, np.newaxis])
         positions[-1], velocities[-1] = self._p1[i], self._v1[i]
         return Curve(knots.astype(np.int64), positions, velocities)
 
-    def _at(self, i: int | slice, ticks: Vector) -> tuple[Vector, Vector]:
-        """Return positions and velocities of one way at times (k, 1), or of all ways at a time each, (m, 1)."""
+    def _at(self, i: int | NDArray[np.intp], ticks: Vector) -> tuple[Vector, Vector]:
+        """Return positions and velocities of one way at times (k, 1), or of ways at times (k, ways, 1)."""
         v0, cruise, up, down, first = (each[i] for each in (self._v0, self._cruise, self._up, self._down, self._first))
         speeding = np.minimum(ticks, first)
         slowing = np.maximum(ticks - (self._ticks[i] - self._last[i]), 0.0)

@@ -49,11 +49,16 @@ from planners.motions.path_timing import MAX_DURATION_S, standing
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
 
-PARTS_A_ROUND = 32  # parts drawn at once: one numpy call gives the time that each would save, the best is tried first
-TRIES_A_ROUND = 4  # parts of these that are tried before others are drawn: drawing takes as long as the checks of one
-SHRINK = 0.7  # parts become shorter by this factor after a round without a gain, and longer again after one with a gain
-LEAST_GAIN_TICKS = 40  # a part that saves less does not pay for its checks [ticks]
-FRUITLESS_ROUNDS = 5  # rounds without a gain after which the curve is about as short as it gets
+# Rounds, and parts in each. One numpy call gives the time that each would save, and takes hardly longer for all rounds.
+# After the rounds without a gain a curve is about as short as it gets.
+PARTS = 5, 32
+ROUNDS = np.arange(PARTS[0])[:, np.newaxis]
+TRIES_A_ROUND = 4  # parts of a round that are tried, those first that save most
+SHRINK = 0.7  # parts become shorter by this factor from round to round, and longer again after a gain
+LEAST_GAIN_TICKS = 100  # a part that saves less does not pay for its checks [ticks]
+
+# Shares of a part's time at which it is checked first: of those that touch something few are free there.
+FIRST_LOOKS = np.array([0.5, 0.25, 0.75, 0.125, 0.375, 0.625, 0.875])
 
 STRAIGHT_LINE = "straight line"
 SPARSE_STEP_M = 0.2  # sparse check of a straight line before it is timed: most blocked ones are found here [m]
@@ -314,21 +319,24 @@ def smooth(
     should_stop: Callable[[], bool],
 ) -> list[Curve]:
     """Return a free curve, then ever shorter ones by pieces whose points are ``free``, all ``along``; ends stay."""
-    stages, fruitless, reach = [curve], 0, 1.0
-    while fruitless < FRUITLESS_ROUNDS and not should_stop():
+    stages, reach, solved_for = [curve], 1.0, reduced(limits)
+    while not should_stop():
         curve = stages[-1]
-        middles = rng.uniform(0.0, 1.0, PARTS_A_ROUND)
-        lengths = reach * rng.uniform(0.0, 1.0, PARTS_A_ROUND)
-        shares = np.clip((middles - 0.5 * lengths, middles + 0.5 * lengths), 0.0, 1.0)
-        first, last = ends = np.rint(shares * curve.duration_ticks).astype(np.int64)
-        (p0, p1), (v0, v1) = (each.reshape(2, PARTS_A_ROUND, -1) for each in curve.at(ends.ravel())[:2])
-        ticks = whole_ticks(least_time_s(p0, v0, p1, v1, reduced(limits)))
+        middles, lengths = rng.random((2, *PARTS))
+        halves = 0.5 * reach * SHRINK**ROUNDS * lengths
+        shares = np.clip((middles - halves, middles + halves), 0.0, 1.0)
+        first, last = ends = np.rint(shares * curve.duration_ticks).astype(np.int64).reshape(2, -1)
+        (p0, p1), (v0, v1) = (each.reshape(2, len(first), -1) for each in curve.at(ends.ravel())[:2])
+        ticks = whole_ticks(least_time_s(p0, v0, p1, v1, solved_for))
         ways = Ways(p0, v0, p1, v1, ticks, limits)
         gains = np.where(ways.possible, last - first - ticks, 0)
-        halfway = ways.halfway()
-        best = np.argsort(-gains, kind="stable")[:TRIES_A_ROUND].tolist()
-        pieces = ((i, ways.curve(i)) for i in best if gains[i] >= LEAST_GAIN_TICKS and free(halfway[i]))
+        best = np.argsort(-gains.reshape(PARTS), axis=1, kind="stable")[:, :TRIES_A_ROUND] + PARTS[1] * ROUNDS
+        best = best[gains[best] >= LEAST_GAIN_TICKS]
+        looks = zip(best.tolist(), ways.places(best, FIRST_LOOKS), strict=True)
+        pieces = ((i, ways.curve(i)) for i, points in looks if not should_stop() and all(map(free, points)))
         i, piece = next(((i, piece) for i, piece in pieces if along(piece)), (0, None))
-        stages += [] if piece is None else [curve.replaced(int(first[i]), int(last[i]), piece)]
-        fruitless, reach = (fruitless + 1, SHRINK * reach) if piece is None else (0, min(1.0, reach / SHRINK))
+        if piece is None:
+            break
+        stages.append(curve.replaced(int(first[i]), int(last[i]), piece))
+        reach = min(1.0, reach * SHRINK ** (i // PARTS[1] - 1))
     return stages

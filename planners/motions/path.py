@@ -28,7 +28,7 @@ from robot.trajectory import Vector
 NOMINAL_CHECKS_PER_S = 30_000
 
 CURVE_SAMPLES = 64  # points between which the travel of a curve is measured
-FIRST_SAMPLES = np.array([16, 48, 8, 24, 40, 56])  # points that are checked first: most contacts beside the middle
+CHECKS_A_POLL = 16  # checks of a curve between two polls for a cancel, which take a quarter of a check in a worker
 
 # No point of the arm travels further along a tree edge [m]. Longer edges mean fewer nodes and fewer checks until a path
 # is there, but past this most are blocked: SO-101, of 0.4 m, and arms of 1 m have the same best length.
@@ -68,7 +68,7 @@ def line_free_sparsely(space: JointSpace, start: Vector, end: Vector, step_m: fl
     if not space.free(end):  # as four of five edges of a tree in a narrow passage
         return False
     shares = coarse_first(max(1, math.ceil(np.abs(end - start) @ space.travel_m_per_rad / step_m)))[1:]
-    return all(space.free(point) for point in start + shares * (end - start))
+    return all(map(space.free, start + shares * (end - start)))
 
 
 def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Callable[[], bool] = never) -> bool:
@@ -77,13 +77,11 @@ def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Call
         return False
     ticks = np.linspace(0.0, curve.duration_ticks, CURVE_SAMPLES + 1)
     samples = curve.at(ticks)[0]
-    if not all(space.free(point) for point in samples[FIRST_SAMPLES]):
-        return False
     moved_m = np.abs(np.diff(samples, axis=0)) @ space.travel_m_per_rad
     travel_m = np.concatenate(([0.0], np.cumsum(moved_m)))
     shares = coarse_first(max(1, math.ceil(travel_m[-1] / step_m)))[1:, 0]
     points = curve.at(np.interp(travel_m[-1] * shares, travel_m, ticks))[0]
-    return all(not should_stop() and space.free(point) for point in points)
+    return all((i % CHECKS_A_POLL or not should_stop()) and space.free(point) for i, point in enumerate(points))
 
 
 # The libraries' log would go to the worker's stderr; what matters is in the answer.

@@ -13,11 +13,9 @@ from typing import NoReturn
 
 from server.commands.arm import add_doctor_parser, add_relax_parser, add_scan_parser, add_verify_parser
 from server.commands.calibrate import add_calibrate_parser
-from server.commands.certificate import add_certificate_parser
-from server.commands.config import add_config_parser, add_systemd_unit_parser
-from server.commands.export import add_export_parser
+from server.commands.files import add_export_parser, add_plan_parser
+from server.commands.installation import add_certificate_parser, add_config_parser, add_systemd_unit_parser
 from server.commands.options import guarded
-from server.commands.plan import add_plan_parser
 from server.commands.publish import add_camera_parser, add_leader_parser
 from server.commands.report import add_report_parser
 from server.commands.robot import add_robot_parser

@@ -14,9 +14,8 @@ from server.access.control_lease import ControlServices
 from server.arm.arms import ArmFiles, read_now
 from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
 from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
-from server.arm.services import offer_arm_services, offer_pace
-from server.arm.topics import TOPIC as JOINT_STATES
-from server.arm.topics import ArmStateTopics
+from server.arm.interface import TOPIC as JOINT_STATES
+from server.arm.interface import ArmStateTopics, offer_arm_services, offer_pace
 from server.arm.verifying import FirstMotions, VerificationProcedure
 from server.chunks.action_chunks import ActionChunks
 from server.config import Settings

@@ -21,7 +21,7 @@ from robot.arm_group import states_of
 from robot.description.model import RobotModel
 from robot.messages import PARKING_TIMEOUT_S, ArmState, CommandDone, EndState, Mode, Order, ParkingPlan
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
-from server.arm.services import sentence_of
+from server.arm.interface import sentence_of
 from server.arrival import arrival_epoch, is_stopped
 from server.config import ArmSettings
 from server.errors import ConfigurationError, ServiceError

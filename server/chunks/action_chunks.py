@@ -279,7 +279,7 @@ class ActionChunks:
     ) -> None:
         self._arm, self._joints, self._lease = arm, joints, lease
         self._planning, self._queue, self._time_limits = context.planning, context.queue, context.time_limits
-        self._robot, self._clock = context.planning.robot, context.clock
+        self._robot, self._clock = context.planning.robot, context.planning.clock
         self._followed: _Followed | None = None
         self._gripper: GripperFollowing | None = None
         self._finger_targets: Targets | None = None
@@ -287,7 +287,7 @@ class ActionChunks:
             limits = TrackingLimits(gripper.joints[0].max_velocity, gripper.joints[0].max_acceleration)
             self._gripper = GripperFollowing(gripper, limits, self._gripper_lead)
         self._fingers = () if gripper is None else tuple(joint.name for joint in gripper.joints)
-        self._stream = MessageStream(graph.resolve(NAME), context.clock, PAUSE_S)
+        self._stream = MessageStream(graph.resolve(NAME), self._clock, PAUSE_S)
         node = self._node = graph.node("chunks")
         node.advertise(ANSWER, ANSWER_TYPE)
         node.offer_action(NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)

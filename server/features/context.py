@@ -53,6 +53,7 @@ class Goals(GoalListener):
             self.time_limits,
             planning.display.performed,
             self.confirmation,
+            planning.clock,
         )
         self.executors = GoalExecutors(arm, execution)
         self.queue = GoalQueue(self.executors, goals.policy, goals.capacity)
@@ -173,6 +174,7 @@ def context_of(
         assumed=AssumedStates(robot),
         parameters=PlannerParameters(moveit.model_copy(update={"group_name": planning_group(robot, "", moveit).name})),
         display=DisplayTopics(graph, robot),
+        clock=graph.clock,
     )
     goals = Goals(graph, whole_arm.arm, planning, settings)
     whole = ArmContext(whole_arm, LocalGraph(graph), moveit, planning, goals, graph.node("moveit"))

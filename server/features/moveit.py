@@ -35,7 +35,6 @@ from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
 from server.moveit.services.description import TransformRepublisher, TransformsTopics, offer_description, publish_groups
 from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
-from server.timers import call_later
 
 log = logging.getLogger("armbridge.servo")
 
@@ -122,7 +121,7 @@ class ArmGoals(Feature):
         self._graph = context.graph
 
     async def start(self) -> None:
-        bridge_actions(self._graph, self._actions, time.monotonic, call_later)
+        bridge_actions(self._graph, self._actions)
 
     def on_state(self, arm: str, state: ArmState) -> None:
         for controller in self._controllers[arm]:

@@ -8,7 +8,6 @@ import logging
 import math
 import re
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
@@ -58,17 +57,10 @@ LOST_SHARE = 0.01
 class Diagnostics:
     """Publishes the latest health of the arm, also when no new report comes."""
 
-    def __init__(
-        self,
-        graph: Graph,
-        robot_name: str,
-        fault_file: Callable[[], Path | None],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, graph: Graph, robot_name: str, fault_file: Callable[[], Path | None]) -> None:
         self._robot_name = robot_name
         self._fault_file = fault_file
         self._node = graph.node("diagnostics")
-        self._clock = clock
         self._state: ArmState | None = None
         self._state_at_s = 0.0
         self._health: ArmHealth | None = None
@@ -81,14 +73,14 @@ class Diagnostics:
             self.publish()
 
     def take_state(self, state: ArmState) -> None:
-        self._state, self._state_at_s = state, self._clock()
+        self._state, self._state_at_s = state, self._node.clock()
 
     def take_health(self, health: ArmHealth) -> None:
         self._health = health
 
     def publish(self) -> None:
         """Publish the arm first, then its servos; nothing before the first state."""
-        state, health, now_s = self._state, self._health, self._clock()
+        state, health, now_s = self._state, self._health, self._node.clock()
         if state is None:
             return
         arm, state_age_s, fault_file = status(state, self._robot_name), now_s - self._state_at_s, self._fault_file()

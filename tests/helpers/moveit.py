@@ -180,8 +180,8 @@ def near(pose: Pose, position_m: tuple[float, float, float], tolerance_m: float 
 def planning_of(
     arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, graph: Graph | None = None, **parameters: Any
 ) -> PlanningContext:
-    """Return the context of planning for an arm in an empty scene."""
-    scene = SceneState(robot)
+    """Return the context of planning for an arm in an empty scene, in the time of the graph."""
+    graph, scene = graph or Graph(REGISTRY), SceneState(robot)
     return PlanningContext(
         robot=robot,
         pool=pool,
@@ -191,7 +191,8 @@ def planning_of(
         current=CurrentState(arm, robot),
         assumed=AssumedStates(robot),
         parameters=PlannerParameters(MoveItParameters(**parameters)),
-        display=DisplayTopics(graph or Graph(REGISTRY), robot),
+        display=DisplayTopics(graph, robot),
+        clock=graph.clock,
     )
 
 

@@ -6,7 +6,6 @@ https://control.ros.org/master/doc/ros2_controllers/joint_trajectory_controller/
 import functools
 import logging
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -88,7 +87,6 @@ class TrajectoryContext:
     planning: PlanningContext
     queue: GoalQueue
     time_limits: TimeLimits
-    clock: Callable[[], float] = time.monotonic
 
     def check_speed(self, trajectory: Trajectory) -> None:
         """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower."""
@@ -121,7 +119,7 @@ class JointTrajectoryController:
         self._refused: object = None
         self._failed: object = None
         self._topic = f"/{name}_controller/joint_trajectory"
-        self._stream = MessageStream(self._topic, context.clock)
+        self._stream = MessageStream(self._topic, context.planning.clock)
         action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = self._node = graph.node(f"{group.name} controller")
@@ -223,7 +221,7 @@ class JointTrajectoryController:
 
     def _motion(self, trajectory: Message, *, streamed: bool) -> ExternalTrajectory:
         """Make the motion of a trajectory, and check that it can be played from where the arm is now."""
-        context, now_s = self._context, self._context.clock()
+        context, now_s = self._context, self._context.planning.clock()
         check_duration(trajectory, context.time_limits)
         starts_in_s = check_trajectory(trajectory, self._group, self._node.message_types.wall_clock())
         last_s = read_seconds(trajectory["points"][-1]["time_from_start"], "trajectory.points[-1].time_from_start")

@@ -1,7 +1,7 @@
 """Start states, scenes and everything else that services and actions plan with."""
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -113,6 +113,7 @@ class PlanningContext:
     assumed: AssumedStates
     parameters: PlannerParameters
     display: DisplayTopics
+    clock: Callable[[], float]
     turn: asyncio.Lock = field(default_factory=asyncio.Lock)
     urdf_responses: dict[str, dict[str, Any]] = field(default_factory=dict)
 

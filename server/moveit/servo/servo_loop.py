@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import logging
 import math
-import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -182,14 +181,13 @@ class ServoSession:
         planning: PlanningContext,
         listener: ServoListener,
         ask: Ask | None = None,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
         self._current = planning.current
         self._setup = setup
         self._ask, self._resolve = ask or planning.ask, planning.frames.resolve
         self._publish_status, self._interrupted = listener.status, listener.interrupted
-        self._clock = clock
+        self._clock = planning.clock
         self._input: ServoInput = JointVelocities({})
         self._expires_at_s = -math.inf
         self._task: asyncio.Task[None] | None = None

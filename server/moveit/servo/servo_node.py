@@ -4,7 +4,6 @@ import functools
 import json
 import logging
 import math
-import time
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -109,17 +108,16 @@ class Press:
 class StatusPublisher:
     """Publisher of ``/servo_node/status``, after every step of the loop and for every rejected command."""
 
-    def __init__(self, node: LocalNode, type_name: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, node: LocalNode, type_name: str) -> None:
         self._node = node
         self._type_name = type_name
-        self._clock = clock
         self._log = LogLimiter(1, 1.0 / LOGGED_AGAIN_S)
         node.advertise(STATUS_TOPIC, type_name, latch=True)
 
     def publish(self, status: ServoStatus, message: str) -> None:
         """Publish a status; an error is logged as well, once in `LOGGED_AGAIN_S` while it is repeated."""
         if status is ServoStatus.INVALID:
-            self._log.write(log, logging.WARNING, f"servo: {message}", message, self._clock())
+            self._log.write(log, logging.WARNING, f"servo: {message}", message, self._node.clock())
         if self._type_name == INT8:
             self._node.publish(STATUS_TOPIC, {"data": HUMBLE_NUMBERS.get(status, int(status))})
         else:
@@ -269,7 +267,7 @@ class ServoNode:
         self._node.subscribe(topic, type_name, deliver, reject, rule=SWITCHING)
 
     def _take_command(self, kind: CommandType, published: PublishedMessage) -> None:
-        client, now_s = published.publisher, time.monotonic()
+        client, now_s = published.publisher, self._node.clock()
         rejection = self._gate.rejection(client, kind, now_s)
         if rejection and self._gate.owner is not client:
             if rejection != self._logged:

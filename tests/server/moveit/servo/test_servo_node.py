@@ -36,7 +36,7 @@ class Rig:
     """A servo node between two clients and an arm."""
 
     def __init__(self) -> None:
-        self.graph, self.arm = Graph(REGISTRY), FakeArm()
+        self.graph, self.arm = Graph(REGISTRY, asyncio.get_running_loop().time), FakeArm()
         self.busy = ""
         queue: Any = SimpleNamespace(busy=lambda _joints: self.busy, take_over=lambda *_joints_and_hand: None)
         self.asked: list[ServoQuestion] = []
@@ -46,11 +46,10 @@ class Rig:
             # No command gets too old where a busy machine takes its time.
             MoveItParameters(servo={"incoming_command_timeout": 5.0}),
             self.arm.as_arm,
-            planning_of(self.arm, pool=self),
+            planning_of(self.arm, pool=self, graph=self.graph),
             queue,
             frozenset(ROBOT.groups["arm"].joints),
         )
-        self.node._session._clock = asyncio.get_running_loop().time
         self.heard = listen(self.graph, servo_node.STATUS_TOPIC)
         for client in (self.one, self.other):
             for topic, type_name in TYPES.items():
@@ -148,8 +147,9 @@ def test_humble_gets_its_own_numbers() -> None:
 
 
 def test_a_repeated_rejection_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    graph, clock = Graph(REGISTRY), FakeClock()
-    topic = servo_node.StatusPublisher(graph.node("servo_node"), "moveit_msgs/ServoStatus", clock)
+    clock = FakeClock()
+    graph = Graph(REGISTRY, clock)
+    topic = servo_node.StatusPublisher(graph.node("servo_node"), "moveit_msgs/ServoStatus")
     heard = listen(graph, servo_node.STATUS_TOPIC)
     with caplog.at_level(logging.WARNING, "armbridge.servo"):
         for _ in range(10):

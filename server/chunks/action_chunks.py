@@ -30,6 +30,7 @@ from server.diagnostic_values import LEVEL_OK, key_values
 from server.errors import GraphError, RefusedError, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
+from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
 from server.graph.permissions import GOAL, STOPPING, WORKING, Node
@@ -38,8 +39,8 @@ from server.graph.services import answer as answer_call
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.gripper import Gripper
-from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.messages import Message, error_code
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.trajectories import read_points, read_seconds, smallest_group
 from server.teleop.following import TrackingLimits
 from server.teleop.gripper_following import LATENCY_S, GripperFollowing
@@ -273,13 +274,13 @@ class ActionChunks:
         graph: LocalGraph,
         arm: AnyArm,
         joints: frozenset[str],
-        context: TrajectoryContext,
+        planning: PlanningContext,
+        queue: GoalQueue,
         gripper: Gripper | None,
         lease: ControlLease,
     ) -> None:
         self._arm, self._joints, self._lease = arm, joints, lease
-        self._planning, self._queue, self._time_limits = context.planning, context.queue, context.time_limits
-        self._robot, self._clock = context.planning.robot, context.planning.clock
+        self._planning, self._queue, self._robot, self._clock = planning, queue, planning.robot, planning.clock
         self._followed: _Followed | None = None
         self._gripper: GripperFollowing | None = None
         self._finger_targets: Targets | None = None
@@ -474,7 +475,7 @@ class ActionChunks:
         if present_rad is not None:
             check_jump(targets, present_rad, now_s, self._robot)
         field = "the time to the last target"
-        self._time_limits.check_duration(targets.end_s - now_s, field, MoveItErrorCode.INVALID_MOTION_PLAN)
+        self._planning.time_limits.check_duration(targets.end_s - now_s, field, MoveItErrorCode.INVALID_MOTION_PLAN)
         targets = blended(former, targets, chunk.blend, chunk.weight, now_s)
         return ChunkMotion(chunk, targets, group, self._robot, current.speed_limit(group.joints))
 

@@ -21,7 +21,6 @@ from server.chunks.action_chunks import ActionChunks
 from server.config import Settings
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
-from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.named_states import data_directory, default_path
 from server.moveit.servo.servo_node import servo_setup
 from server.teaching.replay import offer_replay
@@ -161,14 +160,14 @@ class PolicyChunks(Feature):
     deadline_s = 0.5
 
     def __init__(self, context: ServerContext) -> None:
-        goals, access = context.goals, context.access
-        trajectories = TrajectoryContext(context.planning, goals.queue, goals.time_limits)
+        access = context.access
         self._of_arms = [
             ActionChunks(
                 each.graph,
                 each.served.arm,
                 each.joints,
-                trajectories,
+                context.planning,
+                context.goals.queue,
                 each.gripper,
                 access.leases_of_arms.get(each.name, access.lease),
             )

@@ -84,7 +84,7 @@ async def interface_document(context: ServerContext, _request: Request) -> HttpR
             "ros_version": settings.server.ros_version,
             "control": settings.access.control,
             "on_disconnect": settings.goals.on_disconnect,
-            "confirm": context.goals.confirmation.enabled,
+            "confirm": context.planning.confirmation.enabled,
             "confirm_timeout_s": settings.goals.confirm_timeout_s,
             "max_message_bytes": settings.server.limits.max_message_bytes,
             "max_call_s": MAX_TIMEOUT_S,

@@ -14,7 +14,7 @@ from server.access.authorization import Access
 from server.arm.arms import ServedArm
 from server.config import Settings
 from server.execution.confirmation import Confirmation
-from server.execution.executor import ExecutionContext, GoalExecutors
+from server.execution.executor import GoalExecutors
 from server.execution.goal import Answer, Goal, GoalRequest, TimeLimits
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
@@ -36,26 +36,9 @@ from server.rosapi import RosApi
 class Goals(GoalListener):
     """Way of goals to the arms, which counts their answers."""
 
-    def __init__(self, graph: Graph, arm: AnyArm, planning: PlanningContext, settings: Settings) -> None:
-        moveit, goals, robot = settings.moveit, settings.goals, planning.robot
-        self.time_limits = TimeLimits(
-            moveit.allowed_execution_duration_scaling,
-            moveit.allowed_goal_duration_margin,
-            goals.max_paused_s,
-            goals.max_trajectory_duration_s,
-        )
-        self.confirmation = Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s)
-        execution = ExecutionContext(
-            robot,
-            planning.pool,
-            planning.scene_state,
-            planning.current,
-            self.time_limits,
-            planning.display.performed,
-            self.confirmation,
-            planning.clock,
-        )
-        self.executors = GoalExecutors(arm, execution)
+    def __init__(self, arm: AnyArm, planning: PlanningContext, settings: Settings) -> None:
+        goals, robot = settings.goals, planning.robot
+        self.executors = GoalExecutors(arm, planning)
         self.queue = GoalQueue(self.executors, goals.policy, goals.capacity)
         self.queue.listeners.append(self)
         path = goals.named_states_file or default_path("named_states", robot, os.environ)
@@ -112,7 +95,7 @@ class ArmContext:
                 self.parameters.max_velocity_scaling,
                 self.parameters.max_acceleration_scaling,
                 self.served.settings.guards.gripper_torque_limit,
-                self.goals.time_limits,
+                self.planning.time_limits,
             ),
             self.goals.executors.in_progress,
         )
@@ -162,8 +145,8 @@ def context_of(
     settings: Settings, graph: Graph, arms: tuple[ServedArm, Sequence[ServedArm]], pool: Planners
 ) -> ServerContext:
     whole_arm, single_arms = arms
-    moveit, robot = settings.moveit, whole_arm.robot
-    scene = SceneState(robot)
+    moveit, goals, robot = settings.moveit, settings.goals, whole_arm.robot
+    scene, display = SceneState(robot), DisplayTopics(graph, robot)
     planning = PlanningContext(
         robot=robot,
         pool=pool,
@@ -173,11 +156,19 @@ def context_of(
         current=CurrentState(whole_arm.arm, robot),
         assumed=AssumedStates(robot),
         parameters=PlannerParameters(moveit.model_copy(update={"group_name": planning_group(robot, "", moveit).name})),
-        display=DisplayTopics(graph, robot),
+        display=display,
+        show=display.performed,
         clock=graph.clock,
+        time_limits=TimeLimits(
+            moveit.allowed_execution_duration_scaling,
+            moveit.allowed_goal_duration_margin,
+            goals.max_paused_s,
+            goals.max_trajectory_duration_s,
+        ),
+        confirmation=Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s),
     )
-    goals = Goals(graph, whole_arm.arm, planning, settings)
-    whole = ArmContext(whole_arm, LocalGraph(graph), moveit, planning, goals, graph.node("moveit"))
+    way = Goals(whole_arm.arm, planning, settings)
+    whole = ArmContext(whole_arm, LocalGraph(graph), moveit, planning, way, graph.node("moveit"))
     several = [
         ArmContext(
             each,
@@ -186,7 +177,7 @@ def context_of(
                 update={"group_name": each.robot.default_group, "end_effector_link": each.robot.tip_link}
             ),
             planning,
-            goals,
+            way,
             LocalGraph(graph, each.name).node(f"moveit of {each.name}"),
         )
         for each in single_arms
@@ -194,4 +185,4 @@ def context_of(
     ]
     access = Access(settings.access, busy=whole.running, arms={each.name: each.running for each in several})
     rosapi = RosApi(graph, params=access.params)
-    return ServerContext(settings, graph, (whole, *several), planning, goals, access, rosapi)
+    return ServerContext(settings, graph, (whole, *several), planning, way, access, rosapi)

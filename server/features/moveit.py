@@ -16,7 +16,7 @@ from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
 from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
 from server.moveit.actions.gripper import offer_gripper
-from server.moveit.actions.joint_trajectory_controller import JointTrajectoryController, TrajectoryContext
+from server.moveit.actions.joint_trajectory_controller import JointTrajectoryController
 from server.moveit.actions.move_group import (
     EXECUTE_ACTION,
     MOVE_ACTIONS,
@@ -96,9 +96,9 @@ class MoveGroup(Feature):
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
         self._republisher = TransformRepublisher(graph, planning.frames)
         NamedStatesServices(graph, robot, goals.named_states, planning.current)
-        offer_goal_checks(graph, context.whole.translator, planning)
+        offer_goal_checks(graph, context.whole.translator)
         offer_planning_actions(graph, planning, goals.queue)
-        offer_execute_trajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
+        offer_execute_trajectory(graph, planning, goals.queue)
         offer_services(graph, planning)
         goals.queue.listeners.append(GoalHistory(graph, planning, time.time))
 
@@ -131,15 +131,16 @@ class ArmGoals(Feature):
         """Offer goals of an arm; goals of several arms are published by the names of each arm that they move too."""
         graph, goals, planning = arm.graph, arm.goals, arm.planning
         goals.queue.listeners.append(GoalStatusTopics(arm.node, planning.robot, arm.only_joints))
-        GoalTopics(arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
-        GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
+        GoalTopics(arm.node, goals.queue, arm.translator, arm.only_joints)
+        GoalCalls(graph, goals.queue, arm.translator)
         default = planning_group(planning.robot, "", arm.parameters).name
-        trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)
         controllers = self._controllers[arm.name] = []
         for group in arm.robot.groups.values():
             name, industrial = group.name.removeprefix(arm.served.prefix), group.name == default
             controllers.append(
-                JointTrajectoryController(graph, group, arm.served.arm, trajectories, name, industrial=industrial)
+                JointTrajectoryController(
+                    graph, group, arm.served.arm, planning, goals.queue, name, industrial=industrial
+                )
             )
         self._actions += [graph.resolve(name) for each in controllers for name in each.actions]
         if arm.gripper is not None:

@@ -21,6 +21,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution import goal as execution
+from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, GoalPolicy
 from server.execution.monitors import CurrentState
 from server.execution.queue import GoalListener, GoalQueue
@@ -193,14 +194,17 @@ def planning_of(
         parameters=PlannerParameters(MoveItParameters(**parameters)),
         display=DisplayTopics(graph, robot),
         clock=graph.clock,
+        confirmation=Confirmation(graph, enabled=False, timeout_s=60.0),
     )
 
 
-def translator(arm: FakeArm | None = None, robot: RobotModel = ROBOT, **parameters: Any) -> GoalTranslator:
+def translator(
+    arm: FakeArm | None = None, robot: RobotModel = ROBOT, planning: PlanningContext | None = None
+) -> GoalTranslator:
     """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
     states = NamedStates(robot, robot.default_group, Path("/no file"))
     states.saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
-    return GoalTranslator(planning_of(arm or FakeArm(), robot, **parameters), MoveItParameters(**parameters), states)
+    return GoalTranslator(planning or planning_of(arm or FakeArm(), robot), MoveItParameters(), states)
 
 
 TRANSLATOR = translator()

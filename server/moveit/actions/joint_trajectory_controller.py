@@ -80,19 +80,10 @@ class SegmentTolerances:
     time_s: float
 
 
-@dataclass(frozen=True)
-class TrajectoryContext:
-    """Context of trajectories that clients bring."""
-
-    planning: PlanningContext
-    queue: GoalQueue
-    time_limits: TimeLimits
-
-    def check_speed(self, trajectory: Trajectory) -> None:
-        """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower."""
-        planning = self.planning
-        if planning.parameters.configured.faster_trajectories == "refuse":
-            check_speed(trajectory, planning.robot, planning.current.speed_limit(trajectory.joint_names))
+def check_allowed_speed(trajectory: Trajectory, planning: PlanningContext) -> None:
+    """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower."""
+    if planning.parameters.configured.faster_trajectories == "refuse":
+        check_speed(trajectory, planning.robot, planning.current.speed_limit(trajectory.joint_names))
 
 
 class JointTrajectoryController:
@@ -106,20 +97,21 @@ class JointTrajectoryController:
         graph: LocalGraph,
         group: Group,
         arm: AnyArm,
-        context: TrajectoryContext,
+        planning: PlanningContext,
+        queue: GoalQueue,
         name: str,
         *,
         industrial: bool,
     ) -> None:
-        self._group, self._arm, self._context = group, arm, context
-        self._robot, self._queue = context.planning.robot, context.queue
+        self._group, self._arm, self._queue = group, arm, queue
+        self._planning, self._robot = planning, planning.robot
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         # Publisher on the topic whose latest trajectory was refused, and whose latest one failed after that.
         self._refused: object = None
         self._failed: object = None
         self._topic = f"/{name}_controller/joint_trajectory"
-        self._stream = MessageStream(self._topic, context.planning.clock)
+        self._stream = MessageStream(self._topic, planning.clock)
         action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = self._node = graph.node(f"{group.name} controller")
@@ -221,11 +213,11 @@ class JointTrajectoryController:
 
     def _motion(self, trajectory: Message, *, streamed: bool) -> ExternalTrajectory:
         """Make the motion of a trajectory, and check that it can be played from where the arm is now."""
-        context, now_s = self._context, self._context.planning.clock()
-        check_duration(trajectory, context.time_limits)
+        planning, now_s = self._planning, self._planning.clock()
+        check_duration(trajectory, planning.time_limits)
         starts_in_s = check_trajectory(trajectory, self._group, self._node.message_types.wall_clock())
         last_s = read_seconds(trajectory["points"][-1]["time_from_start"], "trajectory.points[-1].time_from_start")
-        context.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+        planning.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         # A client without a stamp has the stamp of its arrival.
         rate = self._arm.rate
         stamped = abs(starts_in_s) > SAME_STAMP_S * rate
@@ -234,13 +226,13 @@ class JointTrajectoryController:
             now_s + starts_in_s / rate,
             stamped=stamped,
             bridged=streamed or stamped or moving,
-            speed_limit=context.planning.current.speed_limit(self._group.joints),
+            speed_limit=planning.current.speed_limit(self._group.joints),
             rate=rate,
         )
         motion = external_motion(trajectory, self._robot, timing)
-        present_rad = context.planning.current.positions_rad()
+        present_rad = planning.current.positions_rad()
         if present_rad is not None:
-            context.check_speed(motion.trajectory(present_rad, now_s, None))
+            check_allowed_speed(motion.trajectory(present_rad, now_s, None), planning)
         return motion
 
 

@@ -48,8 +48,8 @@ NOT_CHECKED = PlanningFailure(
 UNKNOWN = -1.0
 
 
-def offer_goal_checks(graph: Graph, translator: GoalTranslator, planning: PlanningContext) -> None:
-    turn = asyncio.Lock()
+def offer_goal_checks(graph: Graph, translator: GoalTranslator) -> None:
+    planning, turn = translator.planning, asyncio.Lock()
 
     async def check(request: dict[str, Any]) -> dict[str, Any]:
         poses, joints = request["poses"], request["joints"]

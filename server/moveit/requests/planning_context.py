@@ -1,19 +1,19 @@
 """Start states, scenes and everything else that services and actions plan with."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from planners.interface import Planners
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import refused
-from server.execution.monitors import CurrentState
+from server.execution.confirmation import Confirmation
+from server.execution.executor import ExecutionContext
 from server.graph.permissions import Node
 from server.moveit.display import DisplayTopics
 from server.moveit.messages import Message, read_joint_positions
@@ -100,20 +100,17 @@ class PlanningStart:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class PlanningContext:
+@dataclass(frozen=True, kw_only=True)
+class PlanningContext(ExecutionContext):
     """All that services and actions plan with."""
 
-    robot: RobotModel
-    pool: Planners
     forward: ForwardPlacements
     frames: Frames
     scene_state: SceneState
-    current: CurrentState
+    confirmation: Confirmation
     assumed: AssumedStates
     parameters: PlannerParameters
     display: DisplayTopics
-    clock: Callable[[], float]
     turn: asyncio.Lock = field(default_factory=asyncio.Lock)
     urdf_responses: dict[str, dict[str, Any]] = field(default_factory=dict)
 

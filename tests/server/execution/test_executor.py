@@ -93,7 +93,7 @@ class Stage(CurrentScene):
     def executing(self, **parts: Any) -> GoalExecutor:
         """An executor in the time of the stage."""
         current = CurrentState(self.arm, so101())
-        context = ExecutionContext(so101(), cast("Planners", self), self, current, clock=self.clock, **parts)
+        context = ExecutionContext(so101(), cast("Planners", self), self, current, None, self.clock, **parts)
         return GoalExecutor(self.arm.as_arm, context, self.in_progress)
 
     async def ask(self, request: Any, scene: Scene) -> Any:

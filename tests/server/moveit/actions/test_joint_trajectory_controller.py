@@ -13,7 +13,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from robot.messages import ArmState, Outcome
 from server.errors import GraphError, RefusedError
-from server.execution.goal import Answer, GoalState, Progress, TimeLimits
+from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import ExternalTrajectory, Performed
 from server.graph.actions import GoalStatus
 from server.graph.topics import LocalGraph
@@ -21,7 +21,6 @@ from server.moveit.actions.joint_trajectory_controller import (
     INDUSTRIAL_ACTION,
     FollowCode,
     JointTrajectoryController,
-    TrajectoryContext,
     check_trajectory,
     follow_code,
     read_segment_tolerances,
@@ -45,7 +44,8 @@ class Desk(ActionDesk):
             LocalGraph(self.graph),
             ROBOT.groups["arm"],
             self.arm.as_arm,
-            TrajectoryContext(self.context, self.queue, TimeLimits()),
+            self.context,
+            self.queue,
             "arm",
             industrial=True,
         )

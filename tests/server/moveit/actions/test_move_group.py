@@ -8,11 +8,10 @@ import pytest
 
 from harness.waiting import until
 from planners.problem import MoveItErrorCode
-from server.execution.goal import Answer, GoalRequest, GoalState, Progress, TimeLimits
+from server.execution.goal import Answer, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.actions import GoalStatus
 from server.moveit.actions import move_group
-from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.requests.planning_problems import PILZ
 from server.moveit.trajectories import POINTS_AT_ONCE
 from tests.helpers.fake_arm import HOME, settle
@@ -35,7 +34,7 @@ from tests.helpers.moveit import (
 async def desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
     move_group.offer_planning_actions(made.graph, made.context, made.queue)
-    move_group.offer_execute_trajectory(made.graph, TrajectoryContext(made.context, made.queue, TimeLimits()))
+    move_group.offer_execute_trajectory(made.graph, made.context, made.queue)
     yield made
     await made.close()
 

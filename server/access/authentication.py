@@ -63,7 +63,7 @@ class Tokens:
         """Read the settings, and the file that they name, or raise ConfigurationError."""
         found: dict[str, Identity] = {}
         sources = [settings] if settings.token_file is None else [settings, _read(settings.token_file)]
-        for token, identity in (each for source in sources for each in _identities(source)):
+        for token, identity in (each for source in sources for each in identities(source)):
             if found.setdefault(token, identity) != identity:
                 raise ConfigurationError(
                     f"access: {found[token].name} and {identity.name} have the same token; each needs its own"
@@ -141,7 +141,7 @@ def digest_of(token: str) -> bytes:
     return sha256(token.encode(errors="surrogatepass")).digest()
 
 
-def _identities(settings: AccessSettings) -> Iterator[tuple[str, Identity]]:
+def identities(settings: AccessSettings) -> Iterator[tuple[str, Identity]]:
     if settings.token is not None:
         yield settings.token.get_secret_value(), Identity(TOKEN_NAME, Role.ADMIN)
     for key, role in _ROLES.items():

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib import metadata
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
-from server.diagnostic_values import LEVEL_OK, key_values
+from server.diagnostic_values import LEVEL_OK, diagnostic_status
 from server.execution.queue import RunningGoal
 from server.graph.permissions import LOOKING, WORKING, Node, Role
 from server.graph.services import Call, answer
@@ -220,11 +220,4 @@ class ControlServices:
             "idle_s": f"{lease.idle_s(now_s):.0f}",
             "free_in_s": "" if holder is None else f"{lease.free_in_s(now_s):.0f}",
         }
-        status: dict[str, Any] = {
-            "level": LEVEL_OK,
-            "name": "control",
-            "message": lease.sentence(),
-            "hardware_id": values["holder"],
-            "values": key_values(values),
-        }
-        self._node.publish(TOPIC, status)
+        self._node.publish(TOPIC, diagnostic_status(LEVEL_OK, "control", lease.sentence(), values, values["holder"]))

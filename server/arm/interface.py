@@ -24,7 +24,7 @@ from robot.messages import (
     PlaybackDirection,
 )
 from server.arrival import arrival_epoch
-from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, diagnostic_status, key_values
 from server.errors import ServiceError
 from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.permissions import STOPPING, SWITCHING, WORKING, Rule
@@ -160,13 +160,7 @@ def status(state: ArmState, robot_name: str, prefix: str = "") -> dict[str, Any]
             "fault_joint": state.fault.joint,
             "fault_stamp": f"{state.fault.stamp_s:.3f}",
         }
-    return {
-        "level": _LEVELS.get(state.mode, LEVEL_OK),
-        "name": "arm",
-        "message": message,
-        "hardware_id": robot_name,
-        "values": key_values(values),
-    }
+    return diagnostic_status(_LEVELS.get(state.mode, LEVEL_OK), "arm", message, values, robot_name)
 
 
 RELAX = "/arm/relax"

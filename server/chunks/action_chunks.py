@@ -26,8 +26,8 @@ from robot.trajectory import Trajectory, Vector
 from server.access.control_lease import ControlLease
 from server.arrival import arrival_epoch, arrived_in
 from server.chunks.targets import SAMPLE_S, Blend, Targets, blended, deviation_rad, follow
-from server.diagnostic_values import LEVEL_OK, key_values
-from server.errors import GraphError, RefusedError, refused
+from server.diagnostic_values import LEVEL_OK, diagnostic_status
+from server.errors import GraphError, RefusedError, invalid_plan, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.execution.queue import GoalQueue
@@ -107,22 +107,22 @@ def read_chunk(message: Message, robot: RobotModel, joints: frozenset[str], now_
     trajectory = message["trajectory"]
     blends = [each.value for each in Blend]
     if (blend := message["blend"] or Blend.REPLACE.value) not in blends:
-        raise _invalid(f"blend must be one of {', '.join(blends)}, not {blend[:80]!r}")
+        raise invalid_plan(f"blend must be one of {', '.join(blends)}, not {blend[:80]!r}")
     if not 0.0 <= (weight := message["weight"]) <= 1.0:
-        raise _invalid(f"weight must be 0 to 1, not {weight:g}")
+        raise invalid_plan(f"weight must be 0 to 1, not {weight:g}")
     names, times_s, positions, _, _ = read_points(trajectory, robot)
     if others := sorted(set(names) - joints):
-        raise _invalid(f"trajectory.joint_names has {others[0]!r}, which is no joint of this arm: {sorted(joints)}")
+        raise invalid_plan(f"trajectory.joint_names has {others[0]!r}, which is no joint of this arm: {sorted(joints)}")
     stamp_s = read_seconds(trajectory["header"]["stamp"], "trajectory.header.stamp")
     age_s = wall_s - stamp_s if stamp_s else 0.0
     if age_s < -MAX_AHEAD_S:
         text = (
             f"trajectory.header.stamp is {-age_s:.3g} s in the future (limit {MAX_AHEAD_S} s): set both clocks by NTP"
         )
-        raise _invalid(text)
+        raise invalid_plan(text)
     if times_s[-1] <= age_s:
         text = f"the last target was due {age_s - times_s[-1]:.3g} s ago: trajectory.header.stamp is {age_s:.3g} s old"
-        raise _invalid(text)
+        raise invalid_plan(text)
     bounds = JointBounds.of(robot, names)
     within = np.clip(positions, bounds.lower_rad, bounds.upper_rad)
     moved = np.abs(positions - within)
@@ -137,15 +137,11 @@ def read_chunk(message: Message, robot: RobotModel, joints: frozenset[str], now_
             f"{bounds.lower_rad[column]:.3f} to {bounds.upper_rad[column]:.3f} {unit}"
         )
         if first == 0 or times_s[first - 1] <= age_s:
-            raise _invalid(f"target {first}: {reason}")
+            raise invalid_plan(f"target {first}: {reason}")
         end = first, reason
         times_s, within, moved = times_s[:first], within[:first], moved[:first]
     targets = Targets(names, now_s - age_s + times_s, within)
     return Chunk(message["id"], targets, Blend(blend), weight, float(moved.max()), end)
-
-
-def _invalid(message: str) -> RefusedError:
-    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message)
 
 
 class ChunkMotion:
@@ -189,7 +185,7 @@ class ChunkMotion:
     def _make(self, held_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
         start = start_of(self._joints, held_rad, point)
         if self.until_s <= at_s:
-            raise _invalid(f"the last target was due {at_s - self.until_s:.3g} s ago")
+            raise invalid_plan(f"the last target was due {at_s - self.until_s:.3g} s ago")
         targets = self._of_all_joints(start[0])
         check_jump(targets, dict(zip(self._joints, start[0].tolist(), strict=True)), at_s, self._robot)
         # A chunk that begins at rest has its history where the arm stands.
@@ -202,7 +198,7 @@ class ChunkMotion:
             )
         motion = follow(targets, start, at_s, self._limits)
         if reason := refusal(motion, self._joints, self._bounds, start[0], in_motion=True):
-            raise _invalid(reason)
+            raise invalid_plan(reason)
         self._begins_s = at_s - (0.0 if point is None else point.lead.duration_s)
         self.made = motion, at_s
         return motion
@@ -241,7 +237,7 @@ def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: Rob
             f"the first target takes joint {name} to {wanted[worst]:.3f} {unit}, {away[worst]:.2f} {unit} from where "
             f"it is (limit {MAX_JUMP_RAD} {unit}): move the arm there by a goal first"
         )
-        raise _invalid(text)
+        raise invalid_plan(text)
 
 
 class PolicyPhase(StrEnum):
@@ -344,7 +340,7 @@ class ActionChunks:
         stamp_s = read_seconds(message["trajectory"]["header"]["stamp"], "trajectory.header.stamp")
         if stamp_s and now_s - (wall_s - stamp_s) < self._resumed_s:
             text = "trajectory.header.stamp is from before the policy was resumed: send a chunk of a later observation"
-            raise _invalid(text)
+            raise invalid_plan(text)
         if former is not None and not former.over and former.publisher is not publisher:
             raise refused(
                 MoveItErrorCode.CONTROL_FAILED,
@@ -413,9 +409,8 @@ class ActionChunks:
             log.info("%s: %s", self._node.resolve(NAME), message)
         self._phase, self._message = phase, message
         client = "" if self._followed is None else str(self._followed.publisher)
-        values = key_values({"phase": phase.value, "client": client})
-        status = {"level": LEVEL_OK, "name": "policy", "message": message, "hardware_id": "", "values": values}
-        self._node.publish(STATE, status)
+        values = {"phase": phase.value, "client": client}
+        self._node.publish(STATE, diagnostic_status(LEVEL_OK, "policy", message, values))
 
     # Progress and answers.
 
@@ -466,7 +461,9 @@ class ActionChunks:
         names = tuple(name for name in chunk.targets.joint_names if name not in self._fingers)
         group = smallest_group(self._robot, names)
         if not names or group is None:
-            raise _invalid(f"trajectory.joint_names {list(names)} are not joints of one group, beside the gripper's")
+            raise invalid_plan(
+                f"trajectory.joint_names {list(names)} are not joints of one group, beside the gripper's"
+            )
         targets, present_rad = chunk.targets.of_joints(names), current.positions_rad()
         if former is not None and former.joint_names == names:
             present_rad = dict(zip(names, former.at(np.array([now_s]))[0].tolist(), strict=True))

@@ -234,7 +234,7 @@ class GoalExecutor:
             return None
         scene = self._scene.scene
         try:
-            problem = request.steps[0].problem({**self._held_rad(), **point.positions_rad})
+            problem = request.steps[0]({**self._held_rad(), **point.positions_rad})
         except RefusedError:
             return None
         if not isinstance(problem, PlanningProblem):

@@ -10,6 +10,7 @@ from robot.arm import Arm
 from robot.arm_group import AnyArm, ArmGroup
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
+from robot.messages import ArmState
 from server.access.authorization import Access
 from server.arm.arms import ServedArm
 from server.config import Settings
@@ -20,8 +21,9 @@ from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.execution.queue import GoalListener, GoalQueue, RunningGoal
 from server.graph.topics import Graph, LocalGraph, LocalNode
+from server.lifecycle import Feature
 from server.monitoring.monitor import GoalCounters
-from server.moveit.actions.gripper import Gripper, GripperLimits
+from server.moveit.actions.gripper import Gripper
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_topics import GoalOptions, GoalTranslator
 from server.moveit.named_states import NamedStates, default_path
@@ -32,9 +34,15 @@ from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.rosapi import RosApi
 
+# The queue waits so long for the arm to brake; the arm process has its own deadline after that.
+QUEUE_CLOSE_TIMEOUT_S = 1.0
 
-class Goals(GoalListener):
+
+class Goals(Feature, GoalListener):
     """Way of goals to the arms, which counts their answers."""
+
+    name = "the goal queue"
+    deadline_s = QUEUE_CLOSE_TIMEOUT_S + 0.1
 
     def __init__(self, arm: AnyArm, planning: PlanningContext, settings: Settings) -> None:
         goals, robot = settings.goals, planning.robot
@@ -44,6 +52,17 @@ class Goals(GoalListener):
         path = goals.named_states_file or default_path("named_states", robot, os.environ)
         self.named_states = NamedStates(robot, planning.problems.group("").name, path)
         self.counters = GoalCounters()
+
+    async def start(self) -> None:
+        """Take goals, which wait until arm and planners have started."""
+        self.queue.start()
+
+    async def stop(self) -> None:
+        await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        if not arm:
+            self.executors.take_state(state)
 
     def on_answer(self, goal: Goal, answer: Answer) -> None:
         self.counters.count(goal.request.source, answer)
@@ -91,12 +110,9 @@ class ArmContext:
         return Gripper(
             self.served.arm.part(self.robot.gripper.joints),
             [self.robot.joints[name] for name in self.robot.gripper.joints],
-            GripperLimits(
-                self.parameters.max_velocity_scaling,
-                self.parameters.max_acceleration_scaling,
-                self.served.settings.guards.gripper_torque_limit,
-                self.planning.time_limits,
-            ),
+            self.parameters,
+            self.served.settings.guards.gripper_torque_limit,
+            self.planning,
             self.goals.executors.in_progress,
         )
 

@@ -41,9 +41,6 @@ log = logging.getLogger("armbridge.servo")
 # A joint that brakes from its full speed within this time comes to rest before the limits that steering approaches.
 BRAKES_WITHIN_S = 2.0 * ACCELERATION_SHARE / APPROACH_PER_S
 
-# The queue waits so long for the arm to brake; the arm process has its own deadline after that.
-QUEUE_CLOSE_TIMEOUT_S = 1.0
-
 
 def kept_scene_path(settings: Settings, robot: RobotModel) -> Path:
     """Return the default file of the kept scene: an arm, its simulation, and each set of arms have one of their own."""
@@ -146,27 +143,6 @@ class ArmGoals(Feature):
         if arm.gripper is not None:
             offer_gripper(graph, arm.gripper)
             self._actions += map(graph.resolve, GRIPPER_ACTIONS)
-
-
-class GoalQueueing(Feature):
-    """The queue of goals."""
-
-    name = "the goal queue"
-    deadline_s = QUEUE_CLOSE_TIMEOUT_S + 0.1
-
-    def __init__(self, context: ServerContext) -> None:
-        self._queue, self._executors = context.goals.queue, context.goals.executors
-
-    async def start(self) -> None:
-        """Take goals, which wait until arm and planners have started."""
-        self._queue.start()
-
-    async def stop(self) -> None:
-        await self._queue.close(QUEUE_CLOSE_TIMEOUT_S)
-
-    def on_state(self, arm: str, state: ArmState) -> None:
-        if not arm:
-            self._executors.take_state(state)
 
 
 class Servo(Feature):

@@ -22,7 +22,7 @@ from robot.hardware.interface import status_names
 from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LineHandler, LoggerLevel, LogLine, message_of
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.interface import status
-from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, diagnostic_status, key_values
 from server.graph.list_limits import ListLimits
 from server.graph.permissions import CONFIGURING, LOOKING
 from server.graph.topics import Graph
@@ -139,13 +139,8 @@ def _joint_status(joint: JointHealth, health: ArmHealth, fault: Fault | None, *,
         level, message = LEVEL_STALE, "; ".join(warnings) or "the servo is not being read"
     elif warnings:
         level, message = LEVEL_WARN, "; ".join(warnings)
-    return {
-        "level": level,
-        "name": f"{JOINT_PREFIX}{joint.joint}",
-        "message": message,
-        "hardware_id": joint.hardware_id,
-        "values": key_values(_joint_values(joint) | _story(joint, health, of_joint)),
-    }
+    values = _joint_values(joint) | _story(joint, health, of_joint)
+    return diagnostic_status(level, f"{JOINT_PREFIX}{joint.joint}", message, values, joint.hardware_id)
 
 
 def _joint_values(joint: JointHealth) -> dict[str, str]:

@@ -29,7 +29,7 @@ from server.arrival import arrived_in
 from server.config import Settings
 from server.features.arms import ArmControl, CommissioningOfArms, PolicyChunks, teaching_of, teleoperation_of
 from server.features.context import context_of
-from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
+from server.features.moveit import ArmGoals, MoveGroup, Servo
 from server.features.parking import Parkings
 from server.graph.permissions import Node
 from server.graph.topics import Graph
@@ -85,8 +85,7 @@ class ServerStage:
         self.commissioning = CommissioningOfArms(
             self.context, lambda _recalibrated: None, None, shared_calibration=False
         )
-        queue = GoalQueueing(self.context)
-        of_arms = self.teaching, queue, Servo(self.context), self.teleoperation, PolicyChunks(self.context)
+        of_arms = self.teaching, self.context.goals, Servo(self.context), self.teleoperation, PolicyChunks(self.context)
         goals = MoveGroup(self.context), ArmGoals(self.context), *of_arms
         self._features = ArmControl(self.context), Parkings(self.context), *goals, self.commissioning
         for feature in goals:

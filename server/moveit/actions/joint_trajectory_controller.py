@@ -18,7 +18,7 @@ from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
-from server.errors import GraphError, RefusedError, refused
+from server.errors import GraphError, RefusedError, invalid_plan
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Positions
 from server.execution.queue import GoalQueue
@@ -303,7 +303,7 @@ def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
     end = read_tolerances(goal["goal_tolerance"], "goal_tolerance", group.joints)
     time_s = read_seconds(goal["goal_time_tolerance"], "goal_time_tolerance")
     if time_s > MAX_GOAL_TIME_TOLERANCE_S:
-        raise _invalid(f"goal_time_tolerance must be at most {MAX_GOAL_TIME_TOLERANCE_S:g} s, not {time_s:g} s")
+        raise invalid_plan(f"goal_time_tolerance must be at most {MAX_GOAL_TIME_TOLERANCE_S:g} s, not {time_s:g} s")
     return SegmentTolerances(path, end, max(time_s, 0.0))
 
 
@@ -313,9 +313,9 @@ def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[st
     for message in messages:
         name, position_rad = message["name"], message["position"]
         if name not in joints:
-            raise _invalid(f"{field} names the joint {name!r}; the controller has {', '.join(joints)}", joint=name)
+            raise invalid_plan(f"{field} names the joint {name!r}; the controller has {', '.join(joints)}", joint=name)
         if math.isnan(position_rad):
-            raise _invalid(f"{field}: position of joint {name} must be a number, not nan", joint=name)
+            raise invalid_plan(f"{field}: position of joint {name} must be a number, not nan", joint=name)
         if position_rad > 0.0:
             tolerances[name] = float(position_rad)
     return tolerances
@@ -342,7 +342,7 @@ def check_trajectory(trajectory: Message, group: Group, now_s: float) -> float:
     Raises TrajectoryRefusedError for another joint, or when its time is over.
     """
     if not trajectory["points"]:
-        raise _invalid("trajectory.points is empty; to stop the arm, cancel the goal")
+        raise invalid_plan("trajectory.points is empty; to stop the arm, cancel the goal")
     unknown = [name for name in trajectory["joint_names"] if name not in group.joints]
     if unknown:
         text = f"trajectory.joint_names has {unknown[0]!r}; the controller has {', '.join(group.joints)}"
@@ -386,7 +386,3 @@ def result(code: FollowCode, message: str) -> Message:
 def point(positions_rad: Vector) -> dict[str, Any]:
     """Write a trajectory_msgs/JointTrajectoryPoint with nothing but positions."""
     return {"positions": positions_rad.tolist()}
-
-
-def _invalid(message: str, **details: Any) -> RefusedError:
-    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message, **details)

@@ -33,7 +33,7 @@ from server.moveit.actions.joint_trajectory_controller import check_allowed_spee
 from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
-from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, RequestStep, sequence_requests
+from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, sequence_requests
 from server.moveit.trajectories import external_motion, external_trajectory, is_long, to_message
 
 log = logging.getLogger("armbridge.actions")
@@ -214,7 +214,7 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
     if present_rad is not None:
         warnings += _check_requests(goal.requests, present_rad, context)
     return PlannedMotion(
-        steps=tuple(RequestStep(context.problems, request) for request in goal.requests),
+        steps=tuple(map(context.problems.request_step, goal.requests)),
         joints=context.problems.joints(goal.requests),
         scene=None if diff is None else lambda now_rad: context.scene_state.with_diff(diff, now_rad),
         attempts=goal.attempts,
@@ -234,7 +234,7 @@ async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) 
         warnings = _check_requests(goal.requests, start.start_rad, context)
     except RefusedError as error:
         return Answer.of(error.failure)
-    steps = tuple(RequestStep(context.problems, request) for request in goal.requests)
+    steps = tuple(map(context.problems.request_step, goal.requests))
     return await plan_steps(steps, start, scene, context, (*goal.warnings, *warnings))
 
 

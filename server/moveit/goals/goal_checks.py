@@ -87,7 +87,7 @@ def _problem(
     translator: GoalTranslator, topic: str, message: Message, present_rad: Positions
 ) -> PlanningProblem | PlanningFailure:
     try:
-        problem = translator.motion(topic, message).steps[0].problem(present_rad)
+        problem = translator.motion(topic, message).steps[0](present_rad)
     except RefusedError as error:
         return error.failure
     match problem:

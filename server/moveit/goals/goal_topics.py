@@ -13,7 +13,7 @@ from planners.scene import Pose
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.description.model import Group, RobotModel
-from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, key_values
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, diagnostic_status
 from server.errors import RefusedError, invalid, refused
 from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Joints, PlannedMotion, Positions
@@ -25,7 +25,6 @@ from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.constraints import checked_tip, chooses_orientation, planning_group, tip_link
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.requests.planning_problems import GoalStep
 
 log = logging.getLogger("armbridge.goals")
 
@@ -204,7 +203,7 @@ class GoalTranslator:
         self, group: Group, goal: AnyGoal, options: GoalOptions, frame: str | None = None, notes: tuple[str, ...] = ()
     ) -> PlannedMotion:
         self._check_own(group)
-        step = GoalStep(self.planning.problems, group, goal, options.parameters, frame)
+        step = self.planning.problems.goal_step(group, goal, options.parameters, frame)
         return PlannedMotion((step,), frozenset(group.joints), warnings=notes)
 
 
@@ -367,13 +366,7 @@ def _status(goal: Goal, progress: Progress, level: int, details: Mapping[str, st
     if "header" in goal.request.message:
         stamp = goal.request.message["header"]["stamp"]
         values["stamp"] = f"{stamp['sec']}.{stamp['nanosec']:09d}"
-    return {
-        "level": level,
-        "name": goal.request.source,
-        "message": progress.message,
-        "hardware_id": goal.goal_id,
-        "values": key_values({**values, **details}),
-    }
+    return diagnostic_status(level, goal.request.source, progress.message, {**values, **details}, goal.goal_id)
 
 
 def details_as_json(answer: Answer) -> dict[str, str]:

@@ -156,7 +156,7 @@ async def test_a_wrong_request_moves_nothing(desk: Desk, request_: dict[str, Any
 )
 async def test_a_goal_chooses_its_planning_time(desk: Desk, fields: Any, time_s: float, allowed_s: float) -> None:
     await desk.ask(named="ready", **fields)
-    problem = desk.asked[0].steps[0].problem(HOME)
+    problem = desk.asked[0].steps[0](HOME)
     assert (problem.optimization_time_s, problem.allowed_time_s) == (time_s, allowed_s)
 
 

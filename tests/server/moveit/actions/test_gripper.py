@@ -1,6 +1,7 @@
 import asyncio
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from robot.messages import Mode, MotionEnded, MotionProgress, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.goal import BRAKING_TIMEOUT_S, TimeLimits
+from server.execution.motions import MotionsInProgress
 from server.graph.actions import Result
 from server.graph.permissions import Node
 from server.graph.topics import Graph, LocalGraph
@@ -24,12 +26,12 @@ from server.moveit.actions.gripper import (
     Gripper,
     GripperCommand,
     GripperCommandMessages,
-    GripperLimits,
     GripperReading,
     ParallelGripperCommandMessages,
     fingers_together,
     offer_gripper,
 )
+from server.moveit.parameters import MoveItParameters
 from tests.helpers.fake_arm import StubbornArm, settle
 from tests.helpers.moveit import REGISTRY
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, nominal_calibration, so101
@@ -76,9 +78,9 @@ class Grippers:
     def __init__(self, limits: TimeLimits | None = None, arm: SlowArm | None = None) -> None:
         self.arm, self.graph = arm or SlowArm(), Graph(REGISTRY)
         self.arm.state = replace(self.arm.state, load=np.zeros(len(self.arm.state.joint_names)))
-        limits_of_gripper = GripperLimits(1.0, 1.0, 0.5, limits or TimeLimits())
-        clock = asyncio.get_running_loop().time
-        self.gripper = Gripper(self.arm.as_arm, [JOINT], limits_of_gripper, clock=clock)
+        full_speed = MoveItParameters(max_velocity_scaling=1.0, max_acceleration_scaling=1.0)
+        context: Any = SimpleNamespace(time_limits=limits or TimeLimits(), clock=asyncio.get_running_loop().time)
+        self.gripper = Gripper(self.arm.as_arm, [JOINT], full_speed, 0.5, context, MotionsInProgress())
         offer_gripper(LocalGraph(self.graph), self.gripper)
         self.results: list[Result] = []
         self.feedback: list[dict[str, Any]] = []

@@ -189,7 +189,7 @@ async def test_a_motion_starts_where_its_turn_comes_and_a_plan_alone_where_the_r
     asked_for = asked({**to(0.3), "start_state": start}, planning_scene_diff=changes)
     motion: Any = move_group.planned_motion(asked_for, rig.context)
     later_rad = {**HOME, "elbow_flex": 0.2}
-    assert motion.steps[0].problem(later_rad).start_rad == later_rad
+    assert motion.steps[0](later_rad).start_rad == later_rad
     assert any("start_state is ignored" in warning for warning in motion.warnings)
     assert [one.name for one in motion.scene(HOME).objects] == ["box"]
     assert rig.scene_state.scene.objects == ()

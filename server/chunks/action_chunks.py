@@ -17,7 +17,6 @@ import numpy as np
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
-from robot.arm_group import AnyArm
 from robot.control.checks import refusal
 from robot.description.limits import JointBounds, motion_limits
 from robot.description.model import Group, RobotModel
@@ -30,17 +29,15 @@ from server.diagnostic_values import LEVEL_OK, diagnostic_status
 from server.errors import GraphError, RefusedError, invalid_plan, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
-from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.list_limits import ListLimits
 from server.graph.permissions import GOAL, STOPPING, WORKING, Node
 from server.graph.services import Call
 from server.graph.services import answer as answer_call
-from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.gripper import Gripper
 from server.moveit.messages import Message, error_code
-from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_context import GoalContext
 from server.moveit.trajectories import read_points, read_seconds, smallest_group
 from server.teleop.following import TrackingLimits
 from server.teleop.gripper_following import LATENCY_S, GripperFollowing
@@ -265,18 +262,10 @@ class _Followed:
 class ActionChunks:
     """The topics, the action and the services of one arm."""
 
-    def __init__(
-        self,
-        graph: LocalGraph,
-        arm: AnyArm,
-        joints: frozenset[str],
-        planning: PlanningContext,
-        queue: GoalQueue,
-        gripper: Gripper | None,
-        lease: ControlLease,
-    ) -> None:
-        self._arm, self._joints, self._lease = arm, joints, lease
-        self._planning, self._queue, self._robot, self._clock = planning, queue, planning.robot, planning.clock
+    def __init__(self, context: GoalContext, gripper: Gripper | None, lease: ControlLease) -> None:
+        self._arm, self._joints, self._lease = context.arm, context.joints, lease
+        planning = self._planning = context.planning
+        self._queue, self._robot, self._clock = context.queue, planning.robot, planning.clock
         self._followed: _Followed | None = None
         self._gripper: GripperFollowing | None = None
         self._finger_targets: Targets | None = None
@@ -284,8 +273,8 @@ class ActionChunks:
             limits = TrackingLimits(gripper.joints[0].max_velocity, gripper.joints[0].max_acceleration)
             self._gripper = GripperFollowing(gripper, limits, self._gripper_lead)
         self._fingers = () if gripper is None else tuple(joint.name for joint in gripper.joints)
-        self._stream = MessageStream(graph.resolve(NAME), self._clock, PAUSE_S)
-        node = self._node = graph.node("chunks")
+        self._stream = MessageStream(context.graph.resolve(NAME), self._clock, PAUSE_S)
+        node = self._node = context.graph.node("chunks")
         node.advertise(ANSWER, ANSWER_TYPE)
         node.offer_action(NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
         node.subscribe(NAME, TYPE, self._take, limits=CHUNK_LIMITS, rule=GOAL)
@@ -294,7 +283,7 @@ class ActionChunks:
         self._phase, self._message = PolicyPhase.IDLE, ""
         node.advertise(STATE, STATE_TYPE, latch=True)
         self._show(PolicyPhase.IDLE, "no chunk is followed")
-        self._queue.give_way(joints.difference(self._fingers), self._take_over)
+        self._queue.give_way(context.joints.difference(self._fingers), self._take_over)
         node.offer(PAUSE, "std_srvs/Trigger", self._pause, rule=WORKING)
         node.offer_calls(RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
         node.offer(STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)

@@ -38,15 +38,13 @@ class ArmControl(Feature):
     def __init__(self, context: ServerContext) -> None:
         self._arms = {each.name: each for each in context.arms}
         self._states = {
-            each.name: ArmStateTopics(
-                each.graph, each.robot, each.served.arm.state, each.served.description.calibration
-            )
+            each.name: ArmStateTopics(each.graph, each.robot, each.arm.state, each.served.description.calibration)
             for each in context.arms
         }
         self._control = []
         for each in context.arms:
-            offer_arm_services(each.graph, each.served.arm, each.stop)
-            offer_pace(each.graph, each.served.arm)
+            offer_arm_services(each.graph, each.arm, each.stop)
+            offer_pace(each.graph, each.arm)
             lease = context.access.leases_of_arms.get(each.name, context.access.lease)
             self._control.append(ControlServices(each.graph, lease))
 
@@ -59,8 +57,8 @@ class ArmControl(Feature):
         # The joints of all arms are published without subscribers too, for a recording. One arm's own would cost as
         # much again.
         if not arm or each.node.subscribers(JOINT_STATES):
-            self._states[arm].publish_joints(read_now(each.served.arm, state))
-        self._states[arm].take_state(state, each.served.arm.last_stop)
+            self._states[arm].publish_joints(read_now(each.arm, state))
+        self._states[arm].take_state(state, each.arm.last_stop)
 
     def on_health(self, arm: str, health: ArmHealth) -> None:
         self._states[arm].take_health(health)
@@ -106,7 +104,7 @@ class CommissioningOfArms(Feature):
         self._of_arms[arm].take_health(health)
 
     def _begin(self, context: ArmContext, procedure: str, name: str) -> Procedure:
-        served, queue, arm = context.served, context.goals.queue, context.served.arm
+        served, queue, arm = context.served, context.queue, context.arm
         if isinstance(arm, ArmGroup):
             services = ", ".join(f"/{name}{BEGIN}" for name in arm.states)
             raise OrderRefused(f"one arm is calibrated or verified at a time, by the service of its name: {services}")
@@ -162,15 +160,7 @@ class PolicyChunks(Feature):
     def __init__(self, context: ServerContext) -> None:
         access = context.access
         self._of_arms = [
-            ActionChunks(
-                each.graph,
-                each.served.arm,
-                each.joints,
-                context.planning,
-                context.goals.queue,
-                each.gripper,
-                access.leases_of_arms.get(each.name, access.lease),
-            )
+            ActionChunks(each, each.gripper, access.leases_of_arms.get(each.name, access.lease))
             for each in context.arms
         ]
 

@@ -80,7 +80,7 @@ class Monitoring(BackgroundTask):
             refused_connections=clients.listener.refused_connections,
             goal_counters=context.goals.counters,
             queue=context.goals.queue,
-            arm=context.whole.served.arm,
+            arm=context.whole.arm,
             planners=context.planning.pool,
             recorder=recorder,
             zenoh=bridge,

@@ -126,19 +126,15 @@ class ArmGoals(Feature):
 
     def _offer(self, arm: ArmContext) -> None:
         """Offer goals of an arm; goals of several arms are published by the names of each arm that they move too."""
-        graph, goals, planning = arm.graph, arm.goals, arm.planning
-        goals.queue.listeners.append(GoalStatusTopics(arm.node, planning.robot, arm.only_joints))
-        GoalTopics(arm.node, goals.queue, arm.translator, arm.only_joints)
-        GoalCalls(graph, goals.queue, arm.translator)
-        default = planning_group(planning.robot, "", arm.parameters).name
+        graph, queue, robot = arm.graph, arm.queue, arm.planning.robot
+        queue.listeners.append(GoalStatusTopics(arm.node, robot, arm.only_joints))
+        GoalTopics(arm.node, queue, arm.translator, arm.only_joints)
+        GoalCalls(graph, queue, arm.translator)
+        default = planning_group(robot, "", arm.parameters).name
         controllers = self._controllers[arm.name] = []
         for group in arm.robot.groups.values():
             name, industrial = group.name.removeprefix(arm.served.prefix), group.name == default
-            controllers.append(
-                JointTrajectoryController(
-                    graph, group, arm.served.arm, planning, goals.queue, name, industrial=industrial
-                )
-            )
+            controllers.append(JointTrajectoryController(arm, group, name, industrial=industrial))
         self._actions += [graph.resolve(name) for each in controllers for name in each.actions]
         if arm.gripper is not None:
             offer_gripper(graph, arm.gripper)
@@ -152,7 +148,7 @@ class Servo(Feature):
     deadline_s = 0.5
 
     def __init__(self, context: ServerContext) -> None:
-        self.nodes = {arm.name: _servo_node(arm) for arm in context.arms}
+        self.nodes = {arm.name: ServoNode(arm) for arm in context.arms}
         for joint, brakes_s in slow_to_brake(context.planning.robot).items():
             log.info(
                 "joint %s needs %.1f s to brake from its full speed, so steering approaches limits and obstacles more "
@@ -169,11 +165,3 @@ def slow_to_brake(robot: RobotModel) -> dict[str, float]:
     """Return the joints that brake more slowly than steering expects, with their times to brake [s]."""
     brakes_s = {joint.name: joint.max_velocity / joint.max_acceleration for joint in robot.movable_joints}
     return {name: time_s for name, time_s in brakes_s.items() if time_s > BRAKES_WITHIN_S}
-
-
-def _servo_node(arm: ArmContext) -> ServoNode:
-    """Return the servo node of an arm; by the names of all arms, the configured group is steered."""
-    whole = arm.served.arm
-    steered = whole.part(planning_group(arm.planning.robot, "", arm.parameters).joints)
-    joints = frozenset(name for name in arm.joints if whole.part((name,)) is steered)
-    return ServoNode(arm.graph, arm.parameters, steered, arm.planning, arm.goals.queue, joints)

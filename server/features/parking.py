@@ -208,7 +208,7 @@ class KeptWays:
 
     def __init__(self, parkings: Sequence[ArmParking], context: ServerContext) -> None:
         self._parkings = parkings
-        self._arm, self._planning, self._queue = context.whole.served.arm, context.planning, context.goals.queue
+        self._arm, self._planning, self._queue = context.whole.arm, context.planning, context.goals.queue
         self._place: _Place | None = None
         # At once: the server may be lost at any time.
         self._planning.scene_state.on_change(self.forget)

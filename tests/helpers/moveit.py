@@ -27,13 +27,13 @@ from server.execution.monitors import CurrentState
 from server.execution.queue import GoalListener, GoalQueue
 from server.graph.actions import ActionGoal, Result
 from server.graph.permissions import Node
-from server.graph.topics import Graph
+from server.graph.topics import Graph, LocalGraph
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_topics import GoalTranslator
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import RequestContext
-from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_context import GoalContext, PlanningContext
 from server.moveit.scene.frames import Frames, LinkTransforms
 from server.moveit.scene.planning_scene import SceneDraft
 from server.moveit.scene.scene_state import AssumedStates, SceneState
@@ -195,6 +195,18 @@ def planning_of(
         display=DisplayTopics(graph, robot),
         clock=graph.clock,
         confirmation=Confirmation(graph, enabled=False, timeout_s=60.0),
+    )
+
+
+def goal_context(graph: Graph, arm: FakeArm, planning: PlanningContext, queue: Any, **parameters: Any) -> GoalContext:
+    """Return the context of the goals of an only arm."""
+    return GoalContext(
+        graph=LocalGraph(graph),
+        arm=arm.as_arm,
+        robot=planning.robot,
+        parameters=MoveItParameters(**parameters),
+        planning=planning,
+        queue=queue,
     )
 
 

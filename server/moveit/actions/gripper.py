@@ -16,13 +16,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from planners.problem import MoveItErrorCode
-from robot.arm_group import AnyArm
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.arrival import is_stopped
 from server.errors import RefusedError, invalid
-from server.execution.executor import ExecutionContext
 from server.execution.goal import BRAKING_TIMEOUT_S, CancelScope, ExecutionDeadline, MotionWatch
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.motions import MotionsInProgress
@@ -32,7 +30,7 @@ from server.graph.permissions import GOAL
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal
 from server.moveit.messages import Message
-from server.moveit.parameters import MoveItParameters
+from server.moveit.requests.planning_context import GoalContext
 
 log = logging.getLogger("armbridge.gripper")
 
@@ -89,20 +87,15 @@ class Gripper:
     """Gripper of one or two fingers, which all go to the same position within the limits of their joints."""
 
     def __init__(
-        self,
-        arm: AnyArm,
-        joints: Sequence[Joint],
-        parameters: MoveItParameters,
-        torque_limit: float,
-        context: ExecutionContext,
-        in_progress: MotionsInProgress,
+        self, context: GoalContext, names: Sequence[str], torque_limit: float, in_progress: MotionsInProgress
     ) -> None:
-        self._arm = arm
-        self.joints = tuple(joints)
-        self._names = tuple(joint.name for joint in joints)
+        parameters, planning = context.parameters, context.planning
+        self._arm, self._names = context.arm.part(names), tuple(names)
+        self.joints = tuple(context.robot.joints[name] for name in names)
         self._velocity_scaling, self._torque_limit = parameters.max_velocity_scaling, torque_limit
-        self._max_acceleration = parameters.max_acceleration_scaling * min(joint.max_acceleration for joint in joints)
-        self._time_limits, self._clock, self._in_progress = context.time_limits, context.clock, in_progress
+        slowest = min(joint.max_acceleration for joint in self.joints)
+        self._max_acceleration = parameters.max_acceleration_scaling * slowest
+        self._time_limits, self._clock, self._in_progress = planning.time_limits, planning.clock, in_progress
         self._newest: CancelScope | None = None
         self._turn = asyncio.Lock()
         self._motion: asyncio.Future[MotionEnded] | None = None

@@ -14,20 +14,17 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
-from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
 from server.errors import GraphError, RefusedError, invalid_plan
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Positions
-from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.permissions import GOAL
-from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import goal_status, submit_goal
 from server.moveit.messages import Message
-from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_context import GoalContext, PlanningContext
 from server.moveit.requests.planning_problems import TRAJECTORY_LIMITS
 from server.moveit.trajectories import TrajectoryTiming, check_speed, external_motion, read_seconds
 
@@ -92,29 +89,19 @@ class JointTrajectoryController:
     Its name stands before ``_controller``; ``industrial`` offers the action as `INDUSTRIAL_ACTION` too.
     """
 
-    def __init__(
-        self,
-        graph: LocalGraph,
-        group: Group,
-        arm: AnyArm,
-        planning: PlanningContext,
-        queue: GoalQueue,
-        name: str,
-        *,
-        industrial: bool,
-    ) -> None:
-        self._group, self._arm, self._queue = group, arm, queue
-        self._planning, self._robot = planning, planning.robot
+    def __init__(self, context: GoalContext, group: Group, name: str, *, industrial: bool) -> None:
+        self._group, self._arm, self._queue = group, context.arm, context.queue
+        self._planning, self._robot = context.planning, context.planning.robot
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         # Publisher on the topic whose latest trajectory was refused, and whose latest one failed after that.
         self._refused: object = None
         self._failed: object = None
         self._topic = f"/{name}_controller/joint_trajectory"
-        self._stream = MessageStream(self._topic, planning.clock)
+        self._stream = MessageStream(self._topic, context.planning.clock)
         action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
-        node = self._node = graph.node(f"{group.name} controller")
+        node = self._node = context.graph.node(f"{group.name} controller")
         # ROS 2's name, and ROS 1's.
         self._state_topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
         for topic in self._state_topics:

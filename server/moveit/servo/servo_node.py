@@ -18,14 +18,12 @@ from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError, ServiceError, UnsuccessfulError, invalid
 from server.execution.monitors import check_ready
-from server.execution.motions import Joints
-from server.execution.queue import GoalQueue
 from server.graph.permissions import STOPPING, SWITCHING
-from server.graph.topics import LocalGraph, LocalNode
+from server.graph.topics import LocalNode
 from server.moveit.messages import Message
 from server.moveit.parameters import LEAST_TIMEOUT_S, MoveItParameters
 from server.moveit.requests.constraints import planning_group, tip_link
-from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_context import GoalContext
 from server.moveit.servo.servo_loop import (
     ServoInput,
     ServoListener,
@@ -221,23 +219,20 @@ def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
 
 
 class ServoNode:
-    """MoveIt Servo's node; goals that move any of the ``busy_joints`` have precedence, except a policy's."""
+    """MoveIt Servo's node; by the names of all arms, the configured group is steered.
 
-    def __init__(
-        self,
-        graph: LocalGraph,
-        parameters: MoveItParameters,
-        arm: AnyArm,
-        planning: PlanningContext,
-        queue: GoalQueue,
-        busy_joints: Joints,
-    ) -> None:
-        servo, setup = parameters.servo, servo_setup(planning.robot, parameters)
-        self._arm, self._queue, self._busy_joints = arm, queue, busy_joints
+    Goals that move the steered arm have precedence, except a policy's.
+    """
+
+    def __init__(self, context: GoalContext) -> None:
+        planning, servo = context.planning, context.parameters.servo
+        setup = servo_setup(planning.robot, context.parameters)
+        arm = self._arm = context.arm.part(setup.joints)
+        self._queue, self._resolve = context.queue, planning.frames.resolve
+        self._busy_joints = frozenset(name for name in context.joints if context.arm.part((name,)) is arm)
         self._joints = setup.joints
         self._parameters = servo
-        self._resolve = planning.frames.resolve
-        self._node = graph.node("servo_node")
+        self._node = context.graph.node("servo_node")
         self._status = StatusPublisher(self._node, servo.status_type)
         self._gate = CommandGate(self._present, setup.timeout_s, arm)
         listener = ServoListener(self._status.publish, self._gate.interrupt)

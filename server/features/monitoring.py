@@ -38,9 +38,9 @@ class Logs(Feature):
         offer_level_services(graph)
         directory = diagnostics.directory(data_directory(os.environ))
         self._fault_files = FaultFiles(directory, diagnostics.fault_files, self._ring, robot.name)
-        self._diagnostics = Diagnostics(graph, robot.name, lambda: self._fault_files.latest)
-        self._history = ServoHistory(graph)
-        self._publishing = BackgroundTask("diagnostics", self._diagnostics.run)
+        diagnostics = Diagnostics(graph, robot.name, lambda: self._fault_files.latest)
+        self._observers = diagnostics, ServoHistory(graph), self._fault_files
+        self._publishing = BackgroundTask("diagnostics", diagnostics.run)
 
     async def start(self) -> None:
         await self._publishing.start()
@@ -53,15 +53,13 @@ class Logs(Feature):
 
     def on_state(self, arm: str, state: ArmState) -> None:
         if not arm:
-            self._diagnostics.take_state(state)
-            self._history.take_state(state)
-            self._fault_files.take_state(state)
+            for each in self._observers:
+                each.take_state(state)
 
     def on_health(self, arm: str, health: ArmHealth) -> None:
         if not arm:
-            self._diagnostics.take_health(health)
-            self._history.take_health(health)
-            self._fault_files.take_health(health)
+            for each in self._observers:
+                each.take_health(health)
 
 
 class Monitoring(BackgroundTask):

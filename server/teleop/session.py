@@ -18,7 +18,7 @@ from server.execution.queue import GoalQueue
 from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
+from server.moveit.servo.servo_loop import LATE, ServoSession, ServoSetup
 from server.teleop.following import STALE_S, FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocity
 from server.teleop.gripper_following import GripperFollowing
 from server.teleop.leader import FollowingJoints, JitterBuffer, LeaderPose
@@ -108,7 +108,8 @@ class FollowingSession:
             follower.arm,
             replace(follower.setup, period_s=PERIOD_S, at_once=True),
             planning,
-            ServoListener(self._take_status, self._take_interruption),
+            self._take_status,
+            self._take_interruption,
             self._asked,
         )
         self._limits = follower.limits

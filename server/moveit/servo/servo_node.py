@@ -26,7 +26,6 @@ from server.moveit.requests.constraints import planning_group, tip_link
 from server.moveit.requests.planning_context import GoalContext
 from server.moveit.servo.servo_loop import (
     ServoInput,
-    ServoListener,
     ServoSession,
     ServoSetup,
     read_joint_jog,
@@ -235,8 +234,7 @@ class ServoNode:
         self._node = context.graph.node("servo_node")
         self._status = StatusPublisher(self._node, servo.status_type)
         self._gate = CommandGate(self._present, setup.timeout_s, arm)
-        listener = ServoListener(self._status.publish, self._gate.interrupt)
-        self._session = ServoSession(arm, setup, planning, listener)
+        self._session = ServoSession(arm, setup, planning, self._status.publish, self._gate.interrupt)
         self._last_stop = 0  # stop epoch of the last stop of steering alone
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""

@@ -38,9 +38,9 @@ class Logs(Feature):
         offer_level_services(graph)
         directory = diagnostics.directory(data_directory(os.environ))
         self._fault_files = FaultFiles(directory, diagnostics.fault_files, self._ring, robot.name)
-        diagnostics = Diagnostics(graph, robot.name, lambda: self._fault_files.latest)
-        self._observers = diagnostics, ServoHistory(graph), self._fault_files
-        self._publishing = BackgroundTask("diagnostics", diagnostics.run)
+        condition = Diagnostics(graph, robot.name, lambda: self._fault_files.latest)
+        self._observers = condition, ServoHistory(graph), self._fault_files
+        self._publishing = BackgroundTask("diagnostics", condition.run)
 
     async def start(self) -> None:
         await self._publishing.start()

@@ -6,7 +6,7 @@ action's goals are kept as actionlib keeps them.
 """
 
 import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeAlias
@@ -17,7 +17,6 @@ from protocol.registry import Registry
 from server.graph.actions import ActionGoal, GoalStatus, Result
 from server.graph.permissions import Node
 from server.graph.topics import Graph
-from server.timers import CallLater
 
 log = logging.getLogger("armbridge.actionlib")
 
@@ -77,12 +76,12 @@ def has_actionlib_types(registry: Registry, type_name: str) -> bool:
     return registry.knows(_message_type(type_name, "ActionGoal"))
 
 
-def bridge_actions(graph: Graph, names: Iterable[str], clock: Callable[[], float], call_later: CallLater) -> None:
+def bridge_actions(graph: Graph, names: Iterable[str]) -> None:
     """Open and keep the topics of actions that are offered; an action of a type that ROS 1 lacks has none."""
     types = {name: graph.actions.names.type_of(name) for name in names}
     registry = graph.message_types.registry
     bridged = [
-        BridgedAction(graph, name, type_name, clock)
+        BridgedAction(graph, name, type_name)
         for name, type_name in types.items()
         if type_name is not None and has_actionlib_types(registry, type_name)
     ]
@@ -90,7 +89,7 @@ def bridge_actions(graph: Graph, names: Iterable[str], clock: Callable[[], float
     def beat() -> None:
         for action in bridged:
             action.publish_status()
-        call_later(STATUS_PERIOD_S, beat)
+        graph.call_later(STATUS_PERIOD_S, beat)
 
     beat()
 
@@ -98,11 +97,10 @@ def bridge_actions(graph: Graph, names: Iterable[str], clock: Callable[[], float
 class BridgedAction:
     """The topics of one action."""
 
-    def __init__(self, graph: Graph, name: str, type_name: str, clock: Callable[[], float]) -> None:
+    def __init__(self, graph: Graph, name: str, type_name: str) -> None:
         self._graph = graph
         self._name = name
         self._type_name = type_name
-        self._clock = clock
         self._node = graph.node(f"actionlib of {name}")
         # Goals that have not been forgotten, by id, the oldest first.
         self._goals: dict[str, Tracked] = {}
@@ -122,7 +120,7 @@ class BridgedAction:
 
     def publish_status(self) -> None:
         # Drop what ended long ago, and of very many goals the oldest that have ended.
-        now_s = self._clock()
+        now_s = self._graph.clock()
         self._goals = {
             key: goal
             for key, goal in self._goals.items()
@@ -208,7 +206,7 @@ class BridgedAction:
             self._end(goal, ActionlibStatus.ABORTED if taken_on else ActionlibStatus.REJECTED, str(result.values), {})
 
     def _end(self, goal: Tracked, status: ActionlibStatus, text: str, values: Mapping[str, Any]) -> None:
-        goal.status, goal.text, goal.ended_s = status, text, self._clock()
+        goal.status, goal.text, goal.ended_s = status, text, self._graph.clock()
         self._publish("Result", goal, values)
         self.publish_status()
 

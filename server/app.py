@@ -39,7 +39,7 @@ from server.features.arms import (
 from server.features.clients import Clients
 from server.features.context import context_of
 from server.features.monitoring import Logs, Monitoring, Recording
-from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, PlanningScene, Servo
+from server.features.moveit import ArmGoals, MoveGroup, PlanningScene, Servo
 from server.features.parking import Parkings
 from server.features.physics import physics_of
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
@@ -153,8 +153,8 @@ class App:
             from server.features.cameras import cameras_of
 
             self._cameras = cameras_of(context, self._physics)
-        made = (MoveGroup, ArmGoals, teaching_of, GoalQueueing, Servo, teleoperation_of, PolicyChunks)
-        goals = [make(context) for make in made]
+        clients = MoveGroup(context), ArmGoals(context), teaching_of(context)
+        goals = *clients, context.goals, Servo(context), teleoperation_of(context), PolicyChunks(context)
         self.features = self._in_order_of_start(commissioning, parkings, goals)
         self._arms.connect([each for each in self.features if isinstance(each, Feature)])
 

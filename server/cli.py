@@ -11,43 +11,33 @@ import time
 from collections.abc import Sequence
 from typing import NoReturn
 
-from server.commands.arm import add_doctor_parser, add_relax_parser, add_scan_parser, add_verify_parser
-from server.commands.calibrate import add_calibrate_parser
-from server.commands.certificate import add_certificate_parser
-from server.commands.config import add_config_parser, add_systemd_unit_parser
-from server.commands.export import add_export_parser
+from server.commands import arm, calibrate, files, installation, publish, report, robot, serve, setup
 from server.commands.options import guarded
-from server.commands.plan import add_plan_parser
-from server.commands.publish import add_camera_parser, add_leader_parser
-from server.commands.report import add_report_parser
-from server.commands.robot import add_robot_parser
-from server.commands.serve import add_classroom_parser, add_emulate_parser, add_replay_parser, add_serve_parser
-from server.commands.setup import add_setup_parser
 from server.commands.terminal import EXIT_CODES, ExitCode
 from server.config_keys import unknown
 from server.installation import version_line
 
 # In the order in which someone with a new arm needs them.
 COMMANDS = (
-    add_serve_parser,
-    add_setup_parser,
-    add_scan_parser,
-    add_calibrate_parser,
-    add_verify_parser,
-    add_doctor_parser,
-    add_relax_parser,
-    add_robot_parser,
-    add_plan_parser,
-    add_classroom_parser,
-    add_leader_parser,
-    add_replay_parser,
-    add_camera_parser,
-    add_export_parser,
-    add_emulate_parser,
-    add_certificate_parser,
-    add_config_parser,
-    add_systemd_unit_parser,
-    add_report_parser,
+    serve.add_serve_parser,
+    setup.add_setup_parser,
+    arm.add_scan_parser,
+    calibrate.add_calibrate_parser,
+    arm.add_verify_parser,
+    arm.add_doctor_parser,
+    arm.add_relax_parser,
+    robot.add_robot_parser,
+    files.add_plan_parser,
+    serve.add_classroom_parser,
+    publish.add_leader_parser,
+    serve.add_replay_parser,
+    publish.add_camera_parser,
+    files.add_export_parser,
+    serve.add_emulate_parser,
+    installation.add_certificate_parser,
+    installation.add_config_parser,
+    installation.add_systemd_unit_parser,
+    report.add_report_parser,
 )
 
 # Time for threads to end what they do at the end of the process, such as writing a file [s].

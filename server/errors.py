@@ -57,6 +57,10 @@ def invalid(message: str, **details: Any) -> RefusedError:
     return refused(MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, message, **details)
 
 
+def invalid_plan(message: str, **details: Any) -> RefusedError:
+    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message, **details)
+
+
 def required(found: Found | PlanningFailure) -> Found:
     """Return an answer of the planners, or a frame's pose; raise RefusedError for a failure."""
     if isinstance(found, PlanningFailure):

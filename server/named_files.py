@@ -4,7 +4,7 @@ import asyncio
 import errno
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,8 +119,18 @@ class NamedFiles:
         path = self._path(name)
         return await self._in_thread(name, done, lambda: self._known(path, read))
 
-    async def delete(self, name: str) -> None:
+    async def delete(self, name: str) -> str:
+        """Delete a file; return a sentence about it."""
         await self.read(name, Path.unlink, "deleted")
+        return f"the {self._kind} {name!r} is deleted"
+
+    async def list_for(self, _request: Mapping[str, Any]) -> dict[str, Any]:
+        """Serve the names of all files."""
+        return {"names": await self.names()}
+
+    def delete_for(self, request: Mapping[str, Any]) -> Awaitable[str]:
+        """Serve the deletion of the file with the name in a request."""
+        return self.delete(request["name"])
 
     async def rename(self, name: str, new_name: str) -> None:
         """Rename a file; no other is replaced."""

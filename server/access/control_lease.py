@@ -3,18 +3,16 @@
 import functools
 import json
 import math
-import time
 from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib import metadata
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
-from server.diagnostic_values import LEVEL_OK, key_values
+from server.diagnostic_values import LEVEL_OK, diagnostic_status
 from server.execution.queue import RunningGoal
 from server.graph.permissions import LOOKING, WORKING, Node, Role
 from server.graph.services import Call, answer
 from server.graph.topics import LocalGraph
-from server.timers import CallLater, call_later
 
 Policy: TypeAlias = Literal["lease", "shared"]
 
@@ -179,16 +177,8 @@ def _time_of_day(stamp_s: float) -> str:
 class ControlServices:
     """Topic ``/arm/control`` (latched), and the services that take, release and ask for control."""
 
-    def __init__(
-        self,
-        graph: LocalGraph,
-        lease: ControlLease,
-        clock: Callable[[], float] = time.monotonic,
-        call_later: CallLater = call_later,
-    ) -> None:
+    def __init__(self, graph: LocalGraph, lease: ControlLease) -> None:
         self._lease = lease
-        self._clock = clock
-        self._call_later = call_later
         self._node = graph.node("arm control")
         self._node.advertise(TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         for name, change in ((TAKE_SERVICE, lease.drive), (RELEASE_SERVICE, lease.release)):
@@ -197,16 +187,16 @@ class ControlServices:
         self._node.offer_calls(WHO_SERVICE, "std_srvs/Trigger", self._who, rule=LOOKING)
         lease.watchers.append(self._publish)
         self._publish()
-        self._timer = call_later(BEAT_S, self._beat)
+        self._timer = self._node.call_later(BEAT_S, self._beat)
 
     def close(self) -> None:
         self._timer.cancel()
 
     def _beat(self) -> None:
-        self._lease.tick(self._clock())
+        self._lease.tick(self._node.clock())
         if self._lease.holder is not None:
             self._publish()
-        self._timer = self._call_later(BEAT_S, self._beat)
+        self._timer = self._node.call_later(BEAT_S, self._beat)
 
     def _who(self, call: Call) -> None:
         caller = call.caller
@@ -215,12 +205,12 @@ class ControlServices:
         answer(call, lambda _request: {"success": True, "message": json.dumps(names)})
 
     def _answer(self, change: Callable[[Node, float], str | None], call: Call) -> None:
-        refusal = change(call.caller, self._clock())
+        refusal = change(call.caller, self._node.clock())
         message = self._lease.sentence() if refusal is None else refusal
         answer(call, lambda _request: {"success": refusal is None, "message": message})
 
     def _publish(self) -> None:
-        lease, now_s = self._lease, self._clock()
+        lease, now_s = self._lease, self._node.clock()
         holder = lease.holder
         values = {
             "holder": "" if holder is None else holder.name,
@@ -230,11 +220,4 @@ class ControlServices:
             "idle_s": f"{lease.idle_s(now_s):.0f}",
             "free_in_s": "" if holder is None else f"{lease.free_in_s(now_s):.0f}",
         }
-        status: dict[str, Any] = {
-            "level": LEVEL_OK,
-            "name": "control",
-            "message": lease.sentence(),
-            "hardware_id": values["holder"],
-            "values": key_values(values),
-        }
-        self._node.publish(TOPIC, status)
+        self._node.publish(TOPIC, diagnostic_status(LEVEL_OK, "control", lease.sentence(), values, values["holder"]))

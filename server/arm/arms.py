@@ -15,8 +15,8 @@ from robot.description.servo_table import HardwareTable
 from robot.errors import RobotError
 from robot.messages import ArmConfig, ArmHealth, ArmState
 from robot.processes import StartedChild
+from server.arm.interface import states_are_observed
 from server.arm.setup import Description, arm_config
-from server.arm.topics import states_are_observed
 from server.config import ArmRole, ArmSettings, NamedArmSettings, Settings
 from server.errors import ConfigurationError
 from server.graph.topics import Graph

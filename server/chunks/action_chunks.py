@@ -17,7 +17,6 @@ import numpy as np
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
-from robot.arm_group import AnyArm
 from robot.control.checks import refusal
 from robot.description.limits import JointBounds, motion_limits
 from robot.description.model import Group, RobotModel
@@ -26,8 +25,8 @@ from robot.trajectory import Trajectory, Vector
 from server.access.control_lease import ControlLease
 from server.arrival import arrival_epoch, arrived_in
 from server.chunks.targets import SAMPLE_S, Blend, Targets, blended, deviation_rad, follow
-from server.diagnostic_values import LEVEL_OK, key_values
-from server.errors import GraphError, RefusedError, refused
+from server.diagnostic_values import LEVEL_OK, diagnostic_status
+from server.errors import GraphError, RefusedError, invalid_plan, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.graph.actions import ActionGoal
@@ -35,11 +34,10 @@ from server.graph.list_limits import ListLimits
 from server.graph.permissions import GOAL, STOPPING, WORKING, Node
 from server.graph.services import Call
 from server.graph.services import answer as answer_call
-from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.gripper import Gripper
-from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.messages import Message, error_code
+from server.moveit.requests.planning_context import GoalContext
 from server.moveit.trajectories import read_points, read_seconds, smallest_group
 from server.teleop.following import TrackingLimits
 from server.teleop.gripper_following import LATENCY_S, GripperFollowing
@@ -106,22 +104,22 @@ def read_chunk(message: Message, robot: RobotModel, joints: frozenset[str], now_
     trajectory = message["trajectory"]
     blends = [each.value for each in Blend]
     if (blend := message["blend"] or Blend.REPLACE.value) not in blends:
-        raise _invalid(f"blend must be one of {', '.join(blends)}, not {blend[:80]!r}")
+        raise invalid_plan(f"blend must be one of {', '.join(blends)}, not {blend[:80]!r}")
     if not 0.0 <= (weight := message["weight"]) <= 1.0:
-        raise _invalid(f"weight must be 0 to 1, not {weight:g}")
+        raise invalid_plan(f"weight must be 0 to 1, not {weight:g}")
     names, times_s, positions, _, _ = read_points(trajectory, robot)
     if others := sorted(set(names) - joints):
-        raise _invalid(f"trajectory.joint_names has {others[0]!r}, which is no joint of this arm: {sorted(joints)}")
+        raise invalid_plan(f"trajectory.joint_names has {others[0]!r}, which is no joint of this arm: {sorted(joints)}")
     stamp_s = read_seconds(trajectory["header"]["stamp"], "trajectory.header.stamp")
     age_s = wall_s - stamp_s if stamp_s else 0.0
     if age_s < -MAX_AHEAD_S:
         text = (
             f"trajectory.header.stamp is {-age_s:.3g} s in the future (limit {MAX_AHEAD_S} s): set both clocks by NTP"
         )
-        raise _invalid(text)
+        raise invalid_plan(text)
     if times_s[-1] <= age_s:
         text = f"the last target was due {age_s - times_s[-1]:.3g} s ago: trajectory.header.stamp is {age_s:.3g} s old"
-        raise _invalid(text)
+        raise invalid_plan(text)
     bounds = JointBounds.of(robot, names)
     within = np.clip(positions, bounds.lower_rad, bounds.upper_rad)
     moved = np.abs(positions - within)
@@ -136,15 +134,11 @@ def read_chunk(message: Message, robot: RobotModel, joints: frozenset[str], now_
             f"{bounds.lower_rad[column]:.3f} to {bounds.upper_rad[column]:.3f} {unit}"
         )
         if first == 0 or times_s[first - 1] <= age_s:
-            raise _invalid(f"target {first}: {reason}")
+            raise invalid_plan(f"target {first}: {reason}")
         end = first, reason
         times_s, within, moved = times_s[:first], within[:first], moved[:first]
     targets = Targets(names, now_s - age_s + times_s, within)
     return Chunk(message["id"], targets, Blend(blend), weight, float(moved.max()), end)
-
-
-def _invalid(message: str) -> RefusedError:
-    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message)
 
 
 class ChunkMotion:
@@ -188,7 +182,7 @@ class ChunkMotion:
     def _make(self, held_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
         start = start_of(self._joints, held_rad, point)
         if self.until_s <= at_s:
-            raise _invalid(f"the last target was due {at_s - self.until_s:.3g} s ago")
+            raise invalid_plan(f"the last target was due {at_s - self.until_s:.3g} s ago")
         targets = self._of_all_joints(start[0])
         check_jump(targets, dict(zip(self._joints, start[0].tolist(), strict=True)), at_s, self._robot)
         # A chunk that begins at rest has its history where the arm stands.
@@ -201,7 +195,7 @@ class ChunkMotion:
             )
         motion = follow(targets, start, at_s, self._limits)
         if reason := refusal(motion, self._joints, self._bounds, start[0], in_motion=True):
-            raise _invalid(reason)
+            raise invalid_plan(reason)
         self._begins_s = at_s - (0.0 if point is None else point.lead.duration_s)
         self.made = motion, at_s
         return motion
@@ -240,7 +234,7 @@ def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: Rob
             f"the first target takes joint {name} to {wanted[worst]:.3f} {unit}, {away[worst]:.2f} {unit} from where "
             f"it is (limit {MAX_JUMP_RAD} {unit}): move the arm there by a goal first"
         )
-        raise _invalid(text)
+        raise invalid_plan(text)
 
 
 class PolicyPhase(StrEnum):
@@ -268,18 +262,10 @@ class _Followed:
 class ActionChunks:
     """The topics, the action and the services of one arm."""
 
-    def __init__(
-        self,
-        graph: LocalGraph,
-        arm: AnyArm,
-        joints: frozenset[str],
-        context: TrajectoryContext,
-        gripper: Gripper | None,
-        lease: ControlLease,
-    ) -> None:
-        self._arm, self._joints, self._lease = arm, joints, lease
-        self._planning, self._queue, self._time_limits = context.planning, context.queue, context.time_limits
-        self._robot, self._clock = context.planning.robot, context.clock
+    def __init__(self, context: GoalContext, gripper: Gripper | None, lease: ControlLease) -> None:
+        self._arm, self._joints, self._lease = context.arm, context.joints, lease
+        planning = self._planning = context.planning
+        self._queue, self._robot, self._clock = context.queue, planning.robot, planning.clock
         self._followed: _Followed | None = None
         self._gripper: GripperFollowing | None = None
         self._finger_targets: Targets | None = None
@@ -287,8 +273,8 @@ class ActionChunks:
             limits = TrackingLimits(gripper.joints[0].max_velocity, gripper.joints[0].max_acceleration)
             self._gripper = GripperFollowing(gripper, limits, self._gripper_lead)
         self._fingers = () if gripper is None else tuple(joint.name for joint in gripper.joints)
-        self._stream = MessageStream(graph.resolve(NAME), context.clock, PAUSE_S)
-        node = self._node = graph.node("chunks")
+        self._stream = MessageStream(context.graph.resolve(NAME), self._clock, PAUSE_S)
+        node = self._node = context.graph.node("chunks")
         node.advertise(ANSWER, ANSWER_TYPE)
         node.offer_action(NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
         node.subscribe(NAME, TYPE, self._take, limits=CHUNK_LIMITS, rule=GOAL)
@@ -297,7 +283,7 @@ class ActionChunks:
         self._phase, self._message = PolicyPhase.IDLE, ""
         node.advertise(STATE, STATE_TYPE, latch=True)
         self._show(PolicyPhase.IDLE, "no chunk is followed")
-        self._queue.give_way(joints.difference(self._fingers), self._take_over)
+        self._queue.give_way(context.joints.difference(self._fingers), self._take_over)
         node.offer(PAUSE, "std_srvs/Trigger", self._pause, rule=WORKING)
         node.offer_calls(RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
         node.offer(STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)
@@ -350,7 +336,7 @@ class ActionChunks:
         stamp_s = read_seconds(message["trajectory"]["header"]["stamp"], "trajectory.header.stamp")
         if stamp_s and now_s - (wall_s - stamp_s) < self._resumed_s:
             text = "trajectory.header.stamp is from before the policy was resumed: send a chunk of a later observation"
-            raise _invalid(text)
+            raise invalid_plan(text)
         if former is not None and not former.over and former.publisher is not publisher:
             raise refused(
                 MoveItErrorCode.CONTROL_FAILED,
@@ -419,9 +405,8 @@ class ActionChunks:
             log.info("%s: %s", self._node.resolve(NAME), message)
         self._phase, self._message = phase, message
         client = "" if self._followed is None else str(self._followed.publisher)
-        values = key_values({"phase": phase.value, "client": client})
-        status = {"level": LEVEL_OK, "name": "policy", "message": message, "hardware_id": "", "values": values}
-        self._node.publish(STATE, status)
+        values = {"phase": phase.value, "client": client}
+        self._node.publish(STATE, diagnostic_status(LEVEL_OK, "policy", message, values))
 
     # Progress and answers.
 
@@ -472,7 +457,9 @@ class ActionChunks:
         names = tuple(name for name in chunk.targets.joint_names if name not in self._fingers)
         group = smallest_group(self._robot, names)
         if not names or group is None:
-            raise _invalid(f"trajectory.joint_names {list(names)} are not joints of one group, beside the gripper's")
+            raise invalid_plan(
+                f"trajectory.joint_names {list(names)} are not joints of one group, beside the gripper's"
+            )
         targets, present_rad = chunk.targets.of_joints(names), current.positions_rad()
         if former is not None and former.joint_names == names:
             present_rad = dict(zip(names, former.at(np.array([now_s]))[0].tolist(), strict=True))
@@ -481,7 +468,7 @@ class ActionChunks:
         if present_rad is not None:
             check_jump(targets, present_rad, now_s, self._robot)
         field = "the time to the last target"
-        self._time_limits.check_duration(targets.end_s - now_s, field, MoveItErrorCode.INVALID_MOTION_PLAN)
+        self._planning.time_limits.check_duration(targets.end_s - now_s, field, MoveItErrorCode.INVALID_MOTION_PLAN)
         targets = blended(former, targets, chunk.blend, chunk.weight, now_s)
         return ChunkMotion(chunk, targets, group, self._robot, current.speed_limit(group.joints))
 

@@ -35,10 +35,9 @@ from server.commands.options import (
     DEFAULT_URL,
     FEETECH_ONLY,
     Subparsers,
+    add_arm,
     add_calibration,
     add_command,
-    add_robot,
-    add_serial,
     add_token_file,
     load_calibration,
     open_bus,
@@ -66,8 +65,7 @@ def add_scan_parser(subparsers: Subparsers) -> None:
         "position, angle limits, homing offset [ticks], and whether torque is on. Only reads; nothing moves."
         + FEETECH_ONLY,
     )
-    add_robot(parser)
-    add_serial(parser)
+    add_arm(parser)
     parser.add_argument("--all-bauds", action="store_true", help="look at every baud rate, not only at 1000000")
 
 
@@ -128,8 +126,7 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
         "Look at every servo, measure the bus for a few seconds, and print a verdict per check with what "
         "to do. Nothing is written." + FEETECH_ONLY,
     )
-    add_robot(parser)
-    add_serial(parser)
+    add_arm(parser)
     add_calibration(parser)
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
     parser.add_argument("--cycles", type=int, default=DEFAULT_CYCLES, metavar="N", help=f"measured ({DEFAULT_CYCLES})")
@@ -188,8 +185,7 @@ def add_relax_parser(subparsers: Subparsers) -> None:
         f"Lower the servos' torque over {LOWER_S} s, switch it off, and check servo by servo that it is. "
         "The arm sinks: support it. While a server is running, call its service /arm/relax instead.",
     )
-    add_robot(parser)
-    add_serial(parser)
+    add_arm(parser)
 
 
 def _relax(options: argparse.Namespace, terminal: Terminal) -> ExitCode:

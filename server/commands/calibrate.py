@@ -23,9 +23,8 @@ from server.commands.arm import relax_arm
 from server.commands.options import (
     FEETECH_ONLY,
     Subparsers,
+    add_arm,
     add_command,
-    add_robot,
-    add_serial,
     load_calibration,
     open_bus,
     read_hardware,
@@ -50,8 +49,7 @@ def add_calibrate_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "file", metavar="NAME_OR_PATH", help="where to write: a file, or an id for lerobot's calibration directory"
     )
-    add_robot(parser)
-    add_serial(parser)
+    add_arm(parser)
     parser.add_argument(
         "--write-servos",
         action="store_true",

@@ -104,10 +104,6 @@ def read_token(options: argparse.Namespace) -> str | None:
         raise ConfigurationError(f"--token-file: {file} cannot be read: {error}") from error
 
 
-def add_serial(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--serial", metavar="PORT", default=AUTO, help=f"{SERIAL_HELP} ({AUTO})")
-
-
 def add_calibration(parser: argparse.ArgumentParser) -> None:
     text = "the arm's calibration: a file, or the arm's id in lerobot's calibration directory"
     parser.add_argument("--calibration", metavar="NAME_OR_PATH", help=text)
@@ -131,6 +127,12 @@ def add_robot(parser: argparse.ArgumentParser, default: str | None = DEFAULT_ROB
         default=default,
         help=f"the arm: a built-in one ({names}), or the folder of its robot.toml ({DEFAULT_ROBOT})",
     )
+
+
+def add_arm(parser: argparse.ArgumentParser) -> None:
+    """Describe ``--robot`` and ``--serial``: an arm, and the port of its servos."""
+    add_robot(parser)
+    parser.add_argument("--serial", metavar="PORT", default=AUTO, help=f"{SERIAL_HELP} ({AUTO})")
 
 
 def websocket_url(text: str) -> str:

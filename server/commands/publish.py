@@ -57,7 +57,7 @@ def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.datasets.camera import CameraClient, CameraOptions, open_source
     from server.lifecycle import run_until_signal
-    from server.publishing_client import PublishedTopic
+    from server.rosbridge_clients import PublishedTopic
 
     target = PublishedTopic(options.connect, options.topic, read_token(options))
     source = open_source(options.device, options.width)
@@ -99,7 +99,7 @@ def add_leader_parser(subparsers: Subparsers) -> None:
 
 def _leader(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     from server.config_loader import load
-    from server.publishing_client import PublishedTopic
+    from server.rosbridge_clients import PublishedTopic
     from server.teleop.leader_client import publish_leader
 
     token = read_token(options)

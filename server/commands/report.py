@@ -119,11 +119,10 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
 
 
 def _secrets(settings: Settings) -> Iterator[str]:
-    access = settings.access
-    tables = access.admin_tokens, access.operate_tokens, access.propose_tokens, access.view_tokens
-    for token in (access.token, *(token for table in tables for token in table.values())):
-        if token is not None:
-            yield token.get_secret_value()
+    # Imported when it is needed: --help answers without the server's libraries.
+    from server.access.authentication import identities
+
+    yield from (token for token, _ in identities(settings.access))
     for name, value in os.environ.items():
         if name.upper().startswith(PREFIX) and "TOKEN" in name.upper():
             yield value

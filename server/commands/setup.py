@@ -38,9 +38,8 @@ from server.commands.arm import relax_arm
 from server.commands.options import (
     FEETECH_ONLY,
     Subparsers,
+    add_arm,
     add_command,
-    add_robot,
-    add_serial,
     read_hardware,
     signals_as_ctrl_c,
     signals_wait,
@@ -60,8 +59,7 @@ def add_setup_parser(subparsers: Subparsers) -> None:
         "and the settings that the arm needs. Only what differs is written, after a yes, and read back. The registers "
         "from before are saved to a file first. Break it off whenever you like: the next run goes on." + FEETECH_ONLY,
     )
-    add_robot(parser)
-    add_serial(parser)
+    add_arm(parser)
     add = parser.add_argument
     add(
         "--profile",

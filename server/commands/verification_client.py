@@ -9,8 +9,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from robot.errors import RobotError
 from server.arm.commissioning import ANSWER, BEGIN, CANCEL, STATE_TOPIC
-from server.calling_client import ANSWER_TIMEOUT_S, CallingClient, ServerLost
 from server.commands.terminal import ExitCode, Terminal, chosen, prompt, table
+from server.rosbridge_clients import ANSWER_TIMEOUT_S, CallingClient, ServerLost
 
 # Between looks at the keyboard.
 POLL_S = 0.05

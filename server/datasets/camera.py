@@ -19,7 +19,7 @@ from PIL import Image
 from websockets.asyncio.client import ClientConnection
 
 from server.errors import ServerError
-from server.publishing_client import PublishedTopic, PublishingClient
+from server.rosbridge_clients import PublishedTopic, PublishingClient
 from server.timers import call_in_loop
 
 TEST_DEVICE = "test"

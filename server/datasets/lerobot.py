@@ -21,8 +21,7 @@ import pybase64
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from server.datasets.frames import EpisodeFrames
-from server.datasets.samples import COLOURS
+from server.datasets.samples import COLOURS, EpisodeFrames
 
 CODEC, PIXEL_FORMAT = "h264", "yuv420p"
 

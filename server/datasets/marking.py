@@ -22,7 +22,7 @@ from server.datasets.episodes import (
     checked_task,
     parse_mark,
 )
-from server.diagnostic_values import LEVEL_OK, LEVEL_WARN, key_values
+from server.diagnostic_values import LEVEL_OK, LEVEL_WARN, diagnostic_status
 from server.errors import ServiceError
 from server.graph.permissions import WORKING, Node
 from server.graph.topics import Graph, Subscriber
@@ -197,8 +197,7 @@ class EpisodeServices:
         }
         message = "; ".join(f"{topic} {problem}" for topic, problem in problems.items())
         level = LEVEL_WARN if problems else LEVEL_OK
-        status = {"level": level, "name": "episodes", "message": message, "values": key_values(values)}
-        self._node.publish(STATE, status)
+        self._node.publish(STATE, diagnostic_status(level, "episodes", message, values))
 
     def _start(self, request: dict[str, Any]) -> str:
         mark = Mark(START, checked_task(request["task"]))

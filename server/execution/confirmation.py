@@ -8,7 +8,7 @@ from typing import Any
 from planners.problem import MoveItErrorCode
 from protocol.errors import shorten
 from protocol.publication import PublishedMessage
-from server.diagnostic_values import LEVEL_OK, key_values
+from server.diagnostic_values import LEVEL_OK, diagnostic_status
 from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.permissions import CONFIGURING, WORKING
@@ -95,7 +95,7 @@ class Confirmation:
             self._decision.set_result(go)
 
     def _publish_request(self, goal: Goal | None, summary: str, duration_s: float) -> None:
-        status: dict[str, Any] = {"level": LEVEL_OK, "message": "no goal waits"}
+        status = diagnostic_status(LEVEL_OK, "", "no goal waits", {})
         if goal is not None:
             values = {
                 "client": str(goal.request.client),
@@ -104,8 +104,8 @@ class Confirmation:
                 "duration_s": f"{duration_s:.2f}",
                 "timeout_s": f"{self._timeout_s:g}",
             }
-            status |= {"message": f"{goal.title} waits: {summary}", "values": key_values(values)}
-            status |= {"name": goal.request.source, "hardware_id": goal.goal_id}
+            message = f"{goal.title} waits: {summary}"
+            status = diagnostic_status(LEVEL_OK, goal.request.source, message, values, goal.goal_id)
         self._node.publish(APPROVAL_TOPIC, status)
 
     def _set_mode(self, request: dict[str, Any]) -> str:

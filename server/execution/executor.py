@@ -10,7 +10,6 @@ import contextlib
 import functools
 import logging
 import statistics
-import time
 from array import array
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Sequence
@@ -154,12 +153,12 @@ class ExecutionContext:
 
     robot: RobotModel
     pool: Planners
-    scene: CurrentScene
+    scene_state: CurrentScene
     current: CurrentState
+    confirmation: Confirmation | None
+    clock: Callable[[], float]
     time_limits: TimeLimits = field(default_factory=TimeLimits)
     show: Callable[[Performed], None] = lambda _performed: None  # called with every plan before it is executed
-    confirmation: Confirmation | None = None
-    clock: Callable[[], float] = time.monotonic
 
 
 @dataclass(eq=False)
@@ -180,13 +179,13 @@ class GoalExecutor:
 
     def __init__(self, arm: AnyArm, context: ExecutionContext, in_progress: MotionsInProgress) -> None:
         self._arm = arm
-        self._context, self._scene, self._clock = context, context.scene, context.clock
+        self._context, self._scene, self._clock = context, context.scene_state, context.clock
         self._in_progress = in_progress
         self.recorder = MotionRecorder()
         # The motion in progress, and the motion of a preempted goal, which another can replace.
         self._played: PlayedMotion | None = None
         self._outgoing: PlayedMotion | None = None
-        context.scene.on_change(self._check_again)
+        self._scene.on_change(self._check_again)
         # Times that recent checks of trajectories in motion took [s]; the first is checked within the horizon.
         self._checks_s = deque(((HORIZON_S - SENDING_S) / CHECKS_AHEAD,), RECENT_CHECKS)
 
@@ -235,7 +234,7 @@ class GoalExecutor:
             return None
         scene = self._scene.scene
         try:
-            problem = request.steps[0].problem({**self._held_rad(), **point.positions_rad})
+            problem = request.steps[0]({**self._held_rad(), **point.positions_rad})
         except RefusedError:
             return None
         if not isinstance(problem, PlanningProblem):

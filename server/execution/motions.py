@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -44,12 +43,9 @@ Positions: TypeAlias = Mapping[str, float]
 Problem: TypeAlias = PlanningProblem | CartesianProblem | JointPathProblem
 
 
-class MotionStep(ABC):
-    """Motion to plan, whose problem is built when the goal's turn comes: the arm may hold elsewhere by then."""
-
-    @abstractmethod
-    def problem(self, start_rad: Positions) -> Problem:
-        """Build the problem for the positions of every joint at the start [rad], or raise RefusedError."""
+# Makes the problem of a motion for the positions of all joints at its start [rad], or raises RefusedError. It is called
+# when the goal's turn comes: the arm may hold elsewhere by then.
+MotionStep: TypeAlias = Callable[[Positions], Problem]
 
 
 @dataclass(frozen=True)
@@ -141,7 +137,7 @@ async def plan_sequence(
     for number, step in enumerate(steps):
         problem = None
         try:
-            problem = step.problem({**start_rad, **planned.end_rad})
+            problem = step({**start_rad, **planned.end_rad})
             plan = await _plan(problem, scene, planners)
         except RefusedError as error:
             failure = error.failure

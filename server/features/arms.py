@@ -14,15 +14,13 @@ from server.access.control_lease import ControlServices
 from server.arm.arms import ArmFiles, read_now
 from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
 from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
-from server.arm.services import offer_arm_services, offer_pace
-from server.arm.topics import TOPIC as JOINT_STATES
-from server.arm.topics import ArmStateTopics
+from server.arm.interface import TOPIC as JOINT_STATES
+from server.arm.interface import ArmStateTopics, offer_arm_services, offer_pace
 from server.arm.verifying import FirstMotions, VerificationProcedure
 from server.chunks.action_chunks import ActionChunks
 from server.config import Settings
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
-from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.named_states import data_directory, default_path
 from server.moveit.servo.servo_node import servo_setup
 from server.teaching.replay import offer_replay
@@ -40,15 +38,13 @@ class ArmControl(Feature):
     def __init__(self, context: ServerContext) -> None:
         self._arms = {each.name: each for each in context.arms}
         self._states = {
-            each.name: ArmStateTopics(
-                each.graph, each.robot, each.served.arm.state, each.served.description.calibration
-            )
+            each.name: ArmStateTopics(each.graph, each.robot, each.arm.state, each.served.description.calibration)
             for each in context.arms
         }
         self._control = []
         for each in context.arms:
-            offer_arm_services(each.graph, each.served.arm, each.stop)
-            offer_pace(each.graph, each.served.arm)
+            offer_arm_services(each.graph, each.arm, each.stop)
+            offer_pace(each.graph, each.arm)
             lease = context.access.leases_of_arms.get(each.name, context.access.lease)
             self._control.append(ControlServices(each.graph, lease))
 
@@ -61,8 +57,8 @@ class ArmControl(Feature):
         # The joints of all arms are published without subscribers too, for a recording. One arm's own would cost as
         # much again.
         if not arm or each.node.subscribers(JOINT_STATES):
-            self._states[arm].publish_joints(read_now(each.served.arm, state))
-        self._states[arm].take_state(state, each.served.arm.last_stop)
+            self._states[arm].publish_joints(read_now(each.arm, state))
+        self._states[arm].take_state(state, each.arm.last_stop)
 
     def on_health(self, arm: str, health: ArmHealth) -> None:
         self._states[arm].take_health(health)
@@ -108,7 +104,7 @@ class CommissioningOfArms(Feature):
         self._of_arms[arm].take_health(health)
 
     def _begin(self, context: ArmContext, procedure: str, name: str) -> Procedure:
-        served, queue, arm = context.served, context.goals.queue, context.served.arm
+        served, queue, arm = context.served, context.queue, context.arm
         if isinstance(arm, ArmGroup):
             services = ", ".join(f"/{name}{BEGIN}" for name in arm.states)
             raise OrderRefused(f"one arm is calibrated or verified at a time, by the service of its name: {services}")
@@ -162,17 +158,9 @@ class PolicyChunks(Feature):
     deadline_s = 0.5
 
     def __init__(self, context: ServerContext) -> None:
-        goals, access = context.goals, context.access
-        trajectories = TrajectoryContext(context.planning, goals.queue, goals.time_limits)
+        access = context.access
         self._of_arms = [
-            ActionChunks(
-                each.graph,
-                each.served.arm,
-                each.joints,
-                trajectories,
-                each.gripper,
-                access.leases_of_arms.get(each.name, access.lease),
-            )
+            ActionChunks(each, each.gripper, access.leases_of_arms.get(each.name, access.lease))
             for each in context.arms
         ]
 

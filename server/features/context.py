@@ -9,70 +9,69 @@ from planners.interface import Planners
 from robot.arm import Arm
 from robot.arm_group import AnyArm, ArmGroup
 from robot.description.forward_kinematics import ForwardPlacements
-from robot.description.model import RobotModel
+from robot.messages import ArmState
 from server.access.authorization import Access
 from server.arm.arms import ServedArm
 from server.config import Settings
 from server.execution.confirmation import Confirmation
-from server.execution.executor import ExecutionContext, GoalExecutors
+from server.execution.executor import GoalExecutors
 from server.execution.goal import Answer, Goal, GoalRequest, TimeLimits
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.execution.queue import GoalListener, GoalQueue, RunningGoal
 from server.graph.topics import Graph, LocalGraph, LocalNode
+from server.lifecycle import Feature
 from server.monitoring.monitor import GoalCounters
-from server.moveit.actions.gripper import Gripper, GripperLimits
+from server.moveit.actions.gripper import Gripper
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_topics import GoalOptions, GoalTranslator
 from server.moveit.named_states import NamedStates, default_path
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import planning_group
-from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_context import GoalContext, PlanningContext
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.rosapi import RosApi
 
+# The queue waits so long for the arm to brake; the arm process has its own deadline after that.
+QUEUE_CLOSE_TIMEOUT_S = 1.0
 
-class Goals(GoalListener):
+
+class Goals(Feature, GoalListener):
     """Way of goals to the arms, which counts their answers."""
 
-    def __init__(self, graph: Graph, arm: AnyArm, planning: PlanningContext, settings: Settings) -> None:
-        moveit, goals, robot = settings.moveit, settings.goals, planning.robot
-        self.time_limits = TimeLimits(
-            moveit.allowed_execution_duration_scaling,
-            moveit.allowed_goal_duration_margin,
-            goals.max_paused_s,
-            goals.max_trajectory_duration_s,
-        )
-        self.confirmation = Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s)
-        execution = ExecutionContext(
-            robot,
-            planning.pool,
-            planning.scene_state,
-            planning.current,
-            self.time_limits,
-            planning.display.performed,
-            self.confirmation,
-        )
-        self.executors = GoalExecutors(arm, execution)
+    name = "the goal queue"
+    deadline_s = QUEUE_CLOSE_TIMEOUT_S + 0.1
+
+    def __init__(self, arm: AnyArm, planning: PlanningContext, settings: Settings) -> None:
+        goals, robot = settings.goals, planning.robot
+        self.executors = GoalExecutors(arm, planning)
         self.queue = GoalQueue(self.executors, goals.policy, goals.capacity)
         self.queue.listeners.append(self)
         path = goals.named_states_file or default_path("named_states", robot, os.environ)
         self.named_states = NamedStates(robot, planning.problems.group("").name, path)
         self.counters = GoalCounters()
 
+    async def start(self) -> None:
+        """Take goals, which wait until arm and planners have started."""
+        self.queue.start()
+
+    async def stop(self) -> None:
+        await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        if not arm:
+            self.executors.take_state(state)
+
     def on_answer(self, goal: Goal, answer: Answer) -> None:
         self.counters.count(goal.request.source, answer)
 
 
-@dataclass(frozen=True, eq=False)
-class ArmContext:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ArmContext(GoalContext):
     """Context of the features of one arm, or of all arms together."""
 
     served: ServedArm
-    graph: LocalGraph
-    parameters: MoveItParameters
-    planning: PlanningContext
     goals: Goals
     node: LocalNode
 
@@ -80,14 +79,6 @@ class ArmContext:
     def name(self) -> str:
         """Name of one of several arms; else empty."""
         return self.served.name
-
-    @property
-    def robot(self) -> RobotModel:
-        return self.served.robot
-
-    @cached_property
-    def joints(self) -> frozenset[str]:
-        return frozenset(joint.name for joint in self.robot.movable_joints)
 
     @property
     def only_joints(self) -> frozenset[str] | None:
@@ -104,35 +95,26 @@ class ArmContext:
     def gripper(self) -> Gripper | None:
         if self.robot.gripper is None:
             return None
-        return Gripper(
-            self.served.arm.part(self.robot.gripper.joints),
-            [self.robot.joints[name] for name in self.robot.gripper.joints],
-            GripperLimits(
-                self.parameters.max_velocity_scaling,
-                self.parameters.max_acceleration_scaling,
-                self.served.settings.guards.gripper_torque_limit,
-                self.goals.time_limits,
-            ),
-            self.goals.executors.in_progress,
-        )
+        torque_limit = self.served.settings.guards.gripper_torque_limit
+        return Gripper(self, self.robot.gripper.joints, torque_limit, self.goals.executors.in_progress)
 
     def running(self) -> RunningGoal | None:
         """Return the goal that occupies the arm or its gripper; None when there is none."""
         remaining_s = None if self.gripper is None else self.gripper.remaining_s
-        return self.goals.queue.running(self.joints) or (
+        return self.queue.running(self.joints) or (
             None if remaining_s is None else RunningGoal("a goal of the gripper", remaining_s)
         )
 
     def stop(self, reason: str) -> None:
         """End the goals that move the arm, the active one and all that wait, and every motion of it."""
-        self.goals.queue.stop(reason, self.only_joints)
+        self.queue.stop(reason, self.only_joints)
 
     def go_to(self, positions_rad: Positions, scaling: float) -> Goal:
         """Queue a goal for joints of the arm, at a share of the velocity and acceleration limits."""
         message = {"name": list(positions_rad), "position": list(positions_rad.values())}
         slow = {"max_velocity_scaling": scaling, "max_acceleration_scaling": scaling}
         motion = self.translator.joints(message, GoalOptions(parameters=self.parameters.changed(slow)))
-        return self.goals.queue.submit(GoalRequest("the server", motion, message))
+        return self.queue.submit(GoalRequest("the server", motion, message))
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,15 +136,15 @@ class ServerContext:
     @property
     def single_arms(self) -> list[tuple[ArmContext, Arm]]:
         """Each arm by itself, with the handle on its process."""
-        return [(each, each.served.arm) for each in self.arms if not isinstance(each.served.arm, ArmGroup)]
+        return [(each, each.arm) for each in self.arms if not isinstance(each.arm, ArmGroup)]
 
 
 def context_of(
     settings: Settings, graph: Graph, arms: tuple[ServedArm, Sequence[ServedArm]], pool: Planners
 ) -> ServerContext:
     whole_arm, single_arms = arms
-    moveit, robot = settings.moveit, whole_arm.robot
-    scene = SceneState(robot)
+    moveit, goals, robot = settings.moveit, settings.goals, whole_arm.robot
+    scene, display = SceneState(robot), DisplayTopics(graph, robot)
     planning = PlanningContext(
         robot=robot,
         pool=pool,
@@ -172,24 +154,39 @@ def context_of(
         current=CurrentState(whole_arm.arm, robot),
         assumed=AssumedStates(robot),
         parameters=PlannerParameters(moveit.model_copy(update={"group_name": planning_group(robot, "", moveit).name})),
-        display=DisplayTopics(graph, robot),
+        display=display,
+        show=display.performed,
+        clock=graph.clock,
+        time_limits=TimeLimits(
+            moveit.allowed_execution_duration_scaling,
+            moveit.allowed_goal_duration_margin,
+            goals.max_paused_s,
+            goals.max_trajectory_duration_s,
+        ),
+        confirmation=Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s),
     )
-    goals = Goals(graph, whole_arm.arm, planning, settings)
-    whole = ArmContext(whole_arm, LocalGraph(graph), moveit, planning, goals, graph.node("moveit"))
-    several = [
-        ArmContext(
-            each,
-            LocalGraph(graph, each.name),
-            moveit.model_copy(
-                update={"group_name": each.robot.default_group, "end_effector_link": each.robot.tip_link}
-            ),
-            planning,
-            goals,
-            LocalGraph(graph, each.name).node(f"moveit of {each.name}"),
+    way = Goals(whole_arm.arm, planning, settings)
+
+    def made(served: ServedArm, parameters: MoveItParameters, name: str) -> ArmContext:
+        local = LocalGraph(graph, served.name)
+        return ArmContext(
+            graph=local,
+            arm=served.arm,
+            robot=served.robot,
+            parameters=parameters,
+            planning=planning,
+            queue=way.queue,
+            served=served,
+            goals=way,
+            node=local.node(name),
         )
-        for each in single_arms
-        if each is not whole_arm
-    ]
+
+    whole = made(whole_arm, moveit, "moveit")
+    several = []
+    for each in single_arms:
+        if each is not whole_arm:
+            own = {"group_name": each.robot.default_group, "end_effector_link": each.robot.tip_link}
+            several.append(made(each, moveit.model_copy(update=own), f"moveit of {each.name}"))
     access = Access(settings.access, busy=whole.running, arms={each.name: each.running for each in several})
     rosapi = RosApi(graph, params=access.params)
-    return ServerContext(settings, graph, (whole, *several), planning, goals, access, rosapi)
+    return ServerContext(settings, graph, (whole, *several), planning, way, access, rosapi)

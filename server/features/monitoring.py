@@ -13,9 +13,8 @@ from server.features.context import ServerContext
 from server.lifecycle import BackgroundTask, Feature
 from server.monitoring.fault_files import FaultFiles
 from server.monitoring.health import Sources
-from server.monitoring.log_ring import LogRing
 from server.monitoring.monitor import Monitor
-from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_services
+from server.monitoring.ros_topics import Diagnostics, LogRing, Rosout, offer_level_services
 from server.monitoring.servo_history import ServoHistory
 from server.monitoring.systemd import SystemdNotifier
 from server.moveit.named_states import data_directory
@@ -39,9 +38,9 @@ class Logs(Feature):
         offer_level_services(graph)
         directory = diagnostics.directory(data_directory(os.environ))
         self._fault_files = FaultFiles(directory, diagnostics.fault_files, self._ring, robot.name)
-        self._diagnostics = Diagnostics(graph, robot.name, lambda: self._fault_files.latest)
-        self._history = ServoHistory(graph)
-        self._publishing = BackgroundTask("diagnostics", self._diagnostics.run)
+        condition = Diagnostics(graph, robot.name, lambda: self._fault_files.latest)
+        self._observers = condition, ServoHistory(graph), self._fault_files
+        self._publishing = BackgroundTask("diagnostics", condition.run)
 
     async def start(self) -> None:
         await self._publishing.start()
@@ -54,15 +53,13 @@ class Logs(Feature):
 
     def on_state(self, arm: str, state: ArmState) -> None:
         if not arm:
-            self._diagnostics.take_state(state)
-            self._history.take_state(state)
-            self._fault_files.take_state(state)
+            for each in self._observers:
+                each.take_state(state)
 
     def on_health(self, arm: str, health: ArmHealth) -> None:
         if not arm:
-            self._diagnostics.take_health(health)
-            self._history.take_health(health)
-            self._fault_files.take_health(health)
+            for each in self._observers:
+                each.take_health(health)
 
 
 class Monitoring(BackgroundTask):
@@ -81,7 +78,7 @@ class Monitoring(BackgroundTask):
             refused_connections=clients.listener.refused_connections,
             goal_counters=context.goals.counters,
             queue=context.goals.queue,
-            arm=context.whole.served.arm,
+            arm=context.whole.arm,
             planners=context.planning.pool,
             recorder=recorder,
             zenoh=bridge,

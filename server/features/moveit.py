@@ -16,7 +16,7 @@ from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
 from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
 from server.moveit.actions.gripper import offer_gripper
-from server.moveit.actions.joint_trajectory_controller import JointTrajectoryController, TrajectoryContext
+from server.moveit.actions.joint_trajectory_controller import JointTrajectoryController
 from server.moveit.actions.move_group import (
     EXECUTE_ACTION,
     MOVE_ACTIONS,
@@ -35,15 +35,11 @@ from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
 from server.moveit.services.description import TransformRepublisher, TransformsTopics, offer_description, publish_groups
 from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
-from server.timers import call_later
 
 log = logging.getLogger("armbridge.servo")
 
 # A joint that brakes from its full speed within this time comes to rest before the limits that steering approaches.
 BRAKES_WITHIN_S = 2.0 * ACCELERATION_SHARE / APPROACH_PER_S
-
-# The queue waits so long for the arm to brake; the arm process has its own deadline after that.
-QUEUE_CLOSE_TIMEOUT_S = 1.0
 
 
 def kept_scene_path(settings: Settings, robot: RobotModel) -> Path:
@@ -97,9 +93,9 @@ class MoveGroup(Feature):
         self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
         self._republisher = TransformRepublisher(graph, planning.frames)
         NamedStatesServices(graph, robot, goals.named_states, planning.current)
-        offer_goal_checks(graph, context.whole.translator, planning)
+        offer_goal_checks(graph, context.whole.translator)
         offer_planning_actions(graph, planning, goals.queue)
-        offer_execute_trajectory(graph, TrajectoryContext(planning, goals.queue, goals.time_limits))
+        offer_execute_trajectory(graph, planning, goals.queue)
         offer_services(graph, planning)
         goals.queue.listeners.append(GoalHistory(graph, planning, time.time))
 
@@ -122,7 +118,7 @@ class ArmGoals(Feature):
         self._graph = context.graph
 
     async def start(self) -> None:
-        bridge_actions(self._graph, self._actions, time.monotonic, call_later)
+        bridge_actions(self._graph, self._actions)
 
     def on_state(self, arm: str, state: ArmState) -> None:
         for controller in self._controllers[arm]:
@@ -130,43 +126,19 @@ class ArmGoals(Feature):
 
     def _offer(self, arm: ArmContext) -> None:
         """Offer goals of an arm; goals of several arms are published by the names of each arm that they move too."""
-        graph, goals, planning = arm.graph, arm.goals, arm.planning
-        goals.queue.listeners.append(GoalStatusTopics(arm.node, planning.robot, arm.only_joints))
-        GoalTopics(arm.node, goals.queue, arm.translator, goals.confirmation, arm.only_joints)
-        GoalCalls(graph, goals.queue, arm.translator, goals.confirmation, planning)
-        default = planning_group(planning.robot, "", arm.parameters).name
-        trajectories = TrajectoryContext(planning, goals.queue, goals.time_limits)
+        graph, queue, robot = arm.graph, arm.queue, arm.planning.robot
+        queue.listeners.append(GoalStatusTopics(arm.node, robot, arm.only_joints))
+        GoalTopics(arm.node, queue, arm.translator, arm.only_joints)
+        GoalCalls(graph, queue, arm.translator)
+        default = planning_group(robot, "", arm.parameters).name
         controllers = self._controllers[arm.name] = []
         for group in arm.robot.groups.values():
             name, industrial = group.name.removeprefix(arm.served.prefix), group.name == default
-            controllers.append(
-                JointTrajectoryController(graph, group, arm.served.arm, trajectories, name, industrial=industrial)
-            )
+            controllers.append(JointTrajectoryController(arm, group, name, industrial=industrial))
         self._actions += [graph.resolve(name) for each in controllers for name in each.actions]
         if arm.gripper is not None:
             offer_gripper(graph, arm.gripper)
             self._actions += map(graph.resolve, GRIPPER_ACTIONS)
-
-
-class GoalQueueing(Feature):
-    """The queue of goals."""
-
-    name = "the goal queue"
-    deadline_s = QUEUE_CLOSE_TIMEOUT_S + 0.1
-
-    def __init__(self, context: ServerContext) -> None:
-        self._queue, self._executors = context.goals.queue, context.goals.executors
-
-    async def start(self) -> None:
-        """Take goals, which wait until arm and planners have started."""
-        self._queue.start()
-
-    async def stop(self) -> None:
-        await self._queue.close(QUEUE_CLOSE_TIMEOUT_S)
-
-    def on_state(self, arm: str, state: ArmState) -> None:
-        if not arm:
-            self._executors.take_state(state)
 
 
 class Servo(Feature):
@@ -176,7 +148,7 @@ class Servo(Feature):
     deadline_s = 0.5
 
     def __init__(self, context: ServerContext) -> None:
-        self.nodes = {arm.name: _servo_node(arm) for arm in context.arms}
+        self.nodes = {arm.name: ServoNode(arm) for arm in context.arms}
         for joint, brakes_s in slow_to_brake(context.planning.robot).items():
             log.info(
                 "joint %s needs %.1f s to brake from its full speed, so steering approaches limits and obstacles more "
@@ -193,11 +165,3 @@ def slow_to_brake(robot: RobotModel) -> dict[str, float]:
     """Return the joints that brake more slowly than steering expects, with their times to brake [s]."""
     brakes_s = {joint.name: joint.max_velocity / joint.max_acceleration for joint in robot.movable_joints}
     return {name: time_s for name, time_s in brakes_s.items() if time_s > BRAKES_WITHIN_S}
-
-
-def _servo_node(arm: ArmContext) -> ServoNode:
-    """Return the servo node of an arm; by the names of all arms, the configured group is steered."""
-    whole = arm.served.arm
-    steered = whole.part(planning_group(arm.planning.robot, "", arm.parameters).joints)
-    joints = frozenset(name for name in arm.joints if whole.part((name,)) is steered)
-    return ServoNode(arm.graph, arm.parameters, steered, arm.planning, arm.goals.queue, joints)

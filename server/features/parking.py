@@ -15,13 +15,13 @@ from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from planners.goals import JointGoal
-from planners.problem import ConcurrencyQuestion, MoveItErrorCode, Plan, PlanningFailure
+from planners.problem import ConcurrencyQuestion, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from robot.arm import CLOSE_LIMIT_S, Arm
 from robot.arm_group import states_of
 from robot.description.model import RobotModel
 from robot.messages import PARKING_TIMEOUT_S, ArmState, CommandDone, EndState, Mode, Order, ParkingPlan
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
-from server.arm.services import sentence_of
+from server.arm.interface import sentence_of
 from server.arrival import arrival_epoch, is_stopped
 from server.config import ArmSettings
 from server.errors import ConfigurationError, ServiceError
@@ -32,7 +32,6 @@ from server.features.context import ArmContext, ServerContext
 from server.graph.permissions import SWITCHING
 from server.lifecycle import BackgroundTask, Feature
 from server.moveit.messages import Message
-from server.moveit.requests.planning_problems import GoalStep
 
 log = logging.getLogger("armbridge.parking")
 
@@ -142,12 +141,12 @@ class ArmParking:
             return relaxed
         return CommandDone(0, done=True, message=f"the arm is at its rest pose {pose.state!r}, and relaxed")
 
-    def _way(self) -> GoalStep:
+    def _way(self) -> Callable[[Positions], PlanningProblem]:
         if self._pose is None:
             raise AssertionError("a way to no pose is planned")
         group = self.context.robot.groups[self._pose.group]
         goal = JointGoal(self._pose.positions_rad, self.context.parameters.joint_tolerance)
-        return GoalStep(self.context.planning.problems, group, goal)
+        return self.context.planning.problems.goal_step(group, goal)
 
     # The way that the arm process keeps for its end.
 
@@ -169,7 +168,7 @@ class ArmParking:
 
     async def plan_way(self, start_rad: Positions) -> Plan | PlanningFailure:
         """Plan the way to the rest pose from positions of all joints [rad]."""
-        problem = self._way().problem(start_rad)
+        problem = self._way()(start_rad)
         bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
         scene_state = self.context.planning.scene_state
         scene = scene_state.scene
@@ -209,7 +208,7 @@ class KeptWays:
 
     def __init__(self, parkings: Sequence[ArmParking], context: ServerContext) -> None:
         self._parkings = parkings
-        self._arm, self._planning, self._queue = context.whole.served.arm, context.planning, context.goals.queue
+        self._arm, self._planning, self._queue = context.whole.arm, context.planning, context.goals.queue
         self._place: _Place | None = None
         # At once: the server may be lost at any time.
         self._planning.scene_state.on_change(self.forget)

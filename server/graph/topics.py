@@ -121,7 +121,7 @@ class Graph:
         self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
         self.services = Services(self.message_types, call_later)
         self.actions = Actions(self, clock, call_later)
-        self._clock = clock
+        self.clock, self.call_later = clock, call_later
         self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
         self._unregister_timeout_s = unregister_timeout_s
         self.topic_names = TypedNames()
@@ -161,7 +161,7 @@ class Graph:
 
     def nearest_topic(self, name: str) -> str | None:
         """Return the topic of the server's own with nearly the given name; None where there is none, or no time."""
-        if len(name) > MAX_COMPARED_CHARACTERS or not self._comparisons.due("comparison", self._clock()):
+        if len(name) > MAX_COMPARED_CHARACTERS or not self._comparisons.due("comparison", self.clock()):
             return None
         own = [
             topic
@@ -190,7 +190,7 @@ class Graph:
         return topic is not None and bool(topic.latching)
 
     def latched(self, name: str) -> PublishedMessage | None:
-        return self._latched_messages.latched(name, self._clock())
+        return self._latched_messages.latched(name, self.clock())
 
     def advertise(self, node: Node, name: str, type_name: str, *, latch: bool = False, depth: int = 0) -> None:
         """Register ``node`` as publisher; raises GraphError for an unknown type, or another type than the topic's.
@@ -225,7 +225,7 @@ class Graph:
             topic.latching.discard(node)
             if last_latching:
                 # Type and latched message outlive a socket that is closed only to be opened again.
-                self._latched_messages.unlatch_at(name, self._clock() + self._unregister_timeout_s)
+                self._latched_messages.unlatch_at(name, self.clock() + self._unregister_timeout_s)
             self._left(topic)
 
     def subscribe(self, node: Node, name: str, type_name: str | None, subscriber: Subscriber) -> list[PublishedMessage]:
@@ -240,7 +240,7 @@ class Graph:
             self.rules[name] = subscriber.rule
         self.revision += 1
         self.subscriptions.add(node, name)
-        return self._latched_messages.of(name, self._clock())
+        return self._latched_messages.of(name, self.clock())
 
     def unsubscribe(self, node: Node, name: str) -> None:
         """End the delivery to ``node``; nothing happens when there is none."""
@@ -342,7 +342,7 @@ class Graph:
         if topic.latching and topic.keeps(node):
             return self._latch(published, node if node.remote else None)
         if lifespan_s > 0:
-            self._latched_messages.keep(published, self._clock(), lifespan_s)
+            self._latched_messages.keep(published, self.clock(), lifespan_s)
         return None
 
     def reject_unauthorized(self, node: Node, name: str, message: object, reason: str) -> None:
@@ -398,7 +398,7 @@ class Graph:
             if not self._unused or not self._outlived(oldest := next(iter(self._unused.values()))):
                 break
             self._forget(oldest)
-        self._latched_messages.give_up_old(self._clock())
+        self._latched_messages.give_up_old(self.clock())
         topic = self._topics.get(name)
         if topic is None or self._outlived(topic):
             if type_name is None:
@@ -420,7 +420,7 @@ class Graph:
                 raise GraphError("topic", name, full)
             if len(self._topics) >= MAX_TOPICS:
                 self._forget(next(iter(self._unused.values())))
-            topic = self._topics[name] = Topic(name, canonical, self._clock())
+            topic = self._topics[name] = Topic(name, canonical, self.clock())
         elif type_name is not None and self._canonical(name, type_name) != topic.type_name:
             raise GraphError("topic", name, f"is already established with type {topic.type_name}, not {type_name}")
         return topic
@@ -436,7 +436,7 @@ class Graph:
         self._latched_messages.forget(topic.name)
 
     def _outlived(self, topic: Topic) -> bool:
-        return not topic.used and self._clock() - topic.last_used_s > self._unregister_timeout_s
+        return not topic.used and self.clock() - topic.last_used_s > self._unregister_timeout_s
 
     def _take_into_use(self, topic: Topic) -> None:
         if not topic.used:
@@ -445,7 +445,7 @@ class Graph:
 
     def _left(self, topic: Topic) -> None:
         self.revision += 1
-        topic.last_used_s = self._clock()
+        topic.last_used_s = self.clock()
         if not topic.used:
             self.topic_names.remove(topic.name)
             self._unused[topic.name] = topic
@@ -457,7 +457,7 @@ class LocalNode(Node):
     def __init__(self, graph: Graph, name: str, prefix: str = "") -> None:
         super().__init__(name)
         self._graph, self._prefix = graph, prefix
-        self.message_types = graph.message_types
+        self.message_types, self.clock, self.call_later = graph.message_types, graph.clock, graph.call_later
 
     def resolve(self, name: str) -> str:
         return f"{self._prefix}{name}"

@@ -20,7 +20,7 @@ import orjson
 from numpy.typing import NDArray
 
 from robot.messages import ArmHealth, ArmState, Mode
-from server.monitoring.log_ring import LogRing
+from server.monitoring.ros_topics import LogRing
 from server.named_files import Disk, FileSeries
 
 log = logging.getLogger("armbridge.monitoring")

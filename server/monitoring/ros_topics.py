@@ -1,14 +1,16 @@
 """Condition of the server as ROS topics: ``/diagnostics`` once a second, and the log on ``/rosout``.
 
-Services change the loggers' levels, as ROS 2 nodes have them.
+Services change the loggers' levels, as ROS 2 nodes have them, and return the last lines of the log of all processes.
 """
 
 import asyncio
 import logging
 import math
 import re
-import time
+import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +19,10 @@ from robot import logs
 from robot.faults import ADVICE, Fault, ServoAlert, advise
 from robot.hardware.config import SIMULATED_PORTS
 from robot.hardware.interface import status_names
-from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel, message_of
+from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LineHandler, LoggerLevel, LogLine, message_of
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
-from server.arm.topics import status
-from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, key_values
+from server.arm.interface import status
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, diagnostic_status, key_values
 from server.graph.list_limits import ListLimits
 from server.graph.permissions import CONFIGURING, LOOKING
 from server.graph.topics import Graph
@@ -55,17 +57,10 @@ LOST_SHARE = 0.01
 class Diagnostics:
     """Publishes the latest health of the arm, also when no new report comes."""
 
-    def __init__(
-        self,
-        graph: Graph,
-        robot_name: str,
-        fault_file: Callable[[], Path | None],
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, graph: Graph, robot_name: str, fault_file: Callable[[], Path | None]) -> None:
         self._robot_name = robot_name
         self._fault_file = fault_file
         self._node = graph.node("diagnostics")
-        self._clock = clock
         self._state: ArmState | None = None
         self._state_at_s = 0.0
         self._health: ArmHealth | None = None
@@ -78,14 +73,14 @@ class Diagnostics:
             self.publish()
 
     def take_state(self, state: ArmState) -> None:
-        self._state, self._state_at_s = state, self._clock()
+        self._state, self._state_at_s = state, self._node.clock()
 
     def take_health(self, health: ArmHealth) -> None:
         self._health = health
 
     def publish(self) -> None:
         """Publish the arm first, then its servos; nothing before the first state."""
-        state, health, now_s = self._state, self._health, self._clock()
+        state, health, now_s = self._state, self._health, self._node.clock()
         if state is None:
             return
         arm, state_age_s, fault_file = status(state, self._robot_name), now_s - self._state_at_s, self._fault_file()
@@ -144,13 +139,8 @@ def _joint_status(joint: JointHealth, health: ArmHealth, fault: Fault | None, *,
         level, message = LEVEL_STALE, "; ".join(warnings) or "the servo is not being read"
     elif warnings:
         level, message = LEVEL_WARN, "; ".join(warnings)
-    return {
-        "level": level,
-        "name": f"{JOINT_PREFIX}{joint.joint}",
-        "message": message,
-        "hardware_id": joint.hardware_id,
-        "values": key_values(_joint_values(joint) | _story(joint, health, of_joint)),
-    }
+    values = _joint_values(joint) | _story(joint, health, of_joint)
+    return diagnostic_status(level, f"{JOINT_PREFIX}{joint.joint}", message, values, joint.hardware_id)
 
 
 def _joint_values(joint: JointHealth) -> dict[str, str]:
@@ -298,3 +288,53 @@ def _change(name: str, level: int) -> str:
         return f"name: the levels of {MAX_CHANGED_LOGGERS} loggers have been changed already, the limit"
     log.warning("the level of %s is %s now", name, LEVELS[level])
     return ""
+
+
+LAST_LINES = "/armbridge/last_log_lines"
+
+# Some hours of a quiet server, some minutes of a busy one.
+MAX_LINES = 1000
+
+# All lines together, as tracebacks are long.
+MAX_CHARACTERS = 500_000
+
+
+class LogRing:
+    """The last lines of this process's log and of its children's, from its construction to :meth:`close`."""
+
+    def __init__(self) -> None:
+        self._lines: deque[LogLine] = deque()
+        self._characters = 0
+        # Lines come from every thread that logs.
+        self._lock = threading.Lock()
+        self._handler = LineHandler("server", self.take)
+
+    def close(self) -> None:
+        self._handler.close()
+
+    def take(self, line: LogLine) -> None:
+        """Keep a line in the place of the oldest ones."""
+        with self._lock:
+            self._lines.append(line)
+            self._characters += len(line.text)
+            while len(self._lines) > MAX_LINES or self._characters > MAX_CHARACTERS:
+                self._characters -= len(self._lines.popleft().text)
+
+    def since(self, from_s: float) -> list[LogLine]:
+        """Return the lines from a monotonic time on [s], in the order in which they came."""
+        with self._lock:
+            return [line for line in self._lines if line.monotonic_s >= from_s]
+
+    def offer(self, graph: Graph) -> None:
+
+        def serve(_request: dict[str, Any]) -> dict[str, Any]:
+            return {"success": True, "message": "\n".join(map(shown, self.since(0.0)))}
+
+        # Lines name addresses and files.
+        graph.node("log").offer(LAST_LINES, "std_srvs/Trigger", serve, rule=CONFIGURING)
+
+
+def shown(line: LogLine) -> str:
+    """Return a line for people, its time in UTC."""
+    time = datetime.fromtimestamp(line.at_s, UTC).isoformat(timespec="milliseconds")
+    return f"{time} {logging.getLevelName(line.level):7} {line.process} {line.logger}: {line.text}"

@@ -4,9 +4,8 @@ Samples come with the arm's health, about once a second; events are faults, lost
 and warnings that came and went.
 """
 
-import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,8 +41,8 @@ class Event(NamedTuple):
 class ServoHistory:
     """History of an arm's servos."""
 
-    def __init__(self, graph: Graph, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    def __init__(self, graph: Graph) -> None:
+        self._clock = graph.clock
         # Time and quantities of each sample, by joint.
         self._samples: dict[str, deque[tuple[float, ...]]] = {}
         self._events: deque[Event] = deque(maxlen=MAX_EVENTS)

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 from ruckig import RuckigError
 
-from planners.problem import MoveItErrorCode
 from robot.control.checks import VELOCITY_TOLERANCE, refusal
 from robot.description.limits import JointBounds, motion_limits
 from robot.description.model import Group, RobotModel
 from robot.trajectory import Trajectory, Vector, bridge
-from server.errors import RefusedError, invalid, refused
+from server.errors import RefusedError, invalid, invalid_plan
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.moveit.messages import Message
 
@@ -149,7 +148,7 @@ def _joined_trajectory(
         accelerations = knot_accelerations(joined_s, joined_rad, joined_rad_s)
         joined = Trajectory(group.joints, joined_s, joined_rad, joined_rad_s, accelerations)
     if reason := refusal(joined, group.joints, bounds, start[0], in_motion=True):
-        raise refused(MoveItErrorCode.INVALID_MOTION_PLAN, reason)
+        raise invalid_plan(reason)
     return joined
 
 
@@ -163,7 +162,7 @@ def external_trajectory(message: Message, robot: RobotModel, held_rad: Positions
     bounds = JointBounds.of(robot, trajectory.joint_names)
     reason = refusal(trajectory, trajectory.joint_names, bounds, trajectory.positions_rad[0])
     if reason:
-        raise refused(MoveItErrorCode.INVALID_MOTION_PLAN, reason)
+        raise invalid_plan(reason)
     return trajectory
 
 
@@ -344,7 +343,7 @@ def _array(points: list[Message], field: str, width: int) -> Vector | None:
 
 
 def _invalid(message: str, **details: Any) -> RefusedError:
-    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, f"trajectory.{message}", **details)
+    return invalid_plan(f"trajectory.{message}", **details)
 
 
 def knot_velocities(time_s: Vector, positions_rad: Vector) -> Vector:

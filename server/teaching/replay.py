@@ -5,17 +5,18 @@ taught, as fast as it was taught or slower where limits demand it, checked in th
 """
 
 import asyncio
+import functools
 import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from planners.goals import JointGoal
-from planners.problem import JointPathProblem, MoveItErrorCode
+from planners.problem import MoveItErrorCode
 from robot.description.model import RobotModel
 from robot.description.srdf import Group
 from server.errors import RefusedError, ServiceError, invalid
 from server.execution.goal import Answer, GoalState, Progress
-from server.execution.motions import MotionStep, PlannedMotion, Positions
+from server.execution.motions import MotionStep, PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.permissions import GOAL
@@ -23,7 +24,6 @@ from server.graph.topics import Graph
 from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
 from server.moveit.messages import error_code
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.requests.planning_problems import GoalStep
 from server.teaching.services import CHECK_TIME_S
 from server.teaching.taught_motion import MotionFiles, TaughtMotion, read_speed
 
@@ -77,25 +77,15 @@ def offer_replay(graph: Graph, planning: PlanningContext, motions: MotionFiles, 
     graph.node("replay").offer_action(NAME, TYPE, start, rule=GOAL)
 
 
-@dataclass(frozen=True)
-class TaughtStep(MotionStep):
-    """Taught motion at a share of its speed."""
-
-    taught: TaughtMotion
-    speed: float
-
-    def problem(self, start_rad: Positions) -> JointPathProblem:
-        return self.taught.problem(start_rad, self.speed, CHECK_TIME_S)
-
-
 def planned(taught: TaughtMotion, speed: float, repeat: int, planning: PlanningContext) -> PlannedMotion:
     """Return the motion to the start of a taught motion, and its replays."""
     joints = frozenset(taught.joint_names)
     to_start = [
-        GoalStep(planning.problems, group, JointGoal({name: taught.start_rad[name] for name in group.joints}))
+        planning.problems.goal_step(group, JointGoal({name: taught.start_rad[name] for name in group.joints}))
         for group in groups_of(planning.robot, joints)
     ]
-    return PlannedMotion((*to_start, TaughtStep(taught, speed)) * (1 + repeat), joints)
+    replay: MotionStep = functools.partial(taught.problem, speed=speed, allowed_time_s=CHECK_TIME_S)
+    return PlannedMotion((*to_start, replay) * (1 + repeat), joints)
 
 
 def groups_of(robot: RobotModel, joints: frozenset[str]) -> list[Group]:

@@ -133,10 +133,10 @@ class Teaching(Feature):
         offer("/teach/get", "armbridge_msgs/srv/GetMotion", self._get, rule=LOOKING)
         offer("/teach/check", "armbridge_msgs/srv/CheckMotion", self._check, rule=PLANNING)
         offer("/teach/save", "armbridge_msgs/srv/SaveMotion", self._save, rule=CONFIGURING)
-        offer("/teach/delete", "armbridge_msgs/srv/DeleteMotion", self._delete, rule=CONFIGURING)
+        offer("/teach/delete", "armbridge_msgs/srv/DeleteMotion", motions.delete_for, rule=CONFIGURING)
         offer("/teach/rename", "armbridge_msgs/srv/RenameMotion", self._rename, rule=CONFIGURING)
         offer("/teach/trim", "armbridge_msgs/srv/TrimMotion", self._trim, rule=CONFIGURING)
-        offer("/teach/list", "armbridge_msgs/srv/ListMotions", self._list, rule=LOOKING)
+        offer("/teach/list", "armbridge_msgs/srv/ListMotions", motions.list_for, rule=LOOKING)
         self._show()
 
     @property
@@ -240,9 +240,6 @@ class Teaching(Feature):
 
     # Motions by name.
 
-    async def _list(self, _request: Message) -> dict[str, Any]:
-        return {"names": await self._motions.names()}
-
     async def _get(self, request: Message) -> CompleteResponse:
         # One at a time: the event loop, and a stop, would wait for the interpreter's lock behind each thread.
         async with self._reading:
@@ -266,10 +263,6 @@ class Teaching(Feature):
         motion = await asyncio.to_thread(from_message, request["trajectory"], self._robot)
         await self._motions.save(name, motion)
         return f"the motion {name!r} is saved; {await self._checked(motion)}"
-
-    async def _delete(self, request: Message) -> str:
-        await self._motions.delete(request["name"])
-        return f"the motion {request['name']!r} is deleted"
 
     async def _rename(self, request: Message) -> str:
         name, new_name = request["name"], request["new_name"]

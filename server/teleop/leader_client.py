@@ -13,7 +13,7 @@ from server.arm.setup import Description, arm_config
 from server.config import Settings
 from server.execution.monitors import ARM_START_TIMEOUT_S
 from server.lifecycle import run_until_signal
-from server.publishing_client import PublishedTopic, PublishingClient
+from server.rosbridge_clients import PublishedTopic, PublishingClient
 
 SAMPLE_TYPE = "sensor_msgs/JointState"
 

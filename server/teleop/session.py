@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import logging
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -19,7 +18,7 @@ from server.execution.queue import GoalQueue
 from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.servo.servo_loop import LATE, ServoListener, ServoSession, ServoSetup
+from server.moveit.servo.servo_loop import LATE, ServoSession, ServoSetup
 from server.teleop.following import STALE_S, FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocity
 from server.teleop.gripper_following import GripperFollowing
 from server.teleop.leader import FollowingJoints, JitterBuffer, LeaderPose
@@ -86,7 +85,6 @@ class FollowingContext:
     planning: PlanningContext
     queue: GoalQueue
     go_to: GoTo
-    clock: Callable[[], float] = time.monotonic
 
 
 class FollowingSession:
@@ -101,18 +99,18 @@ class FollowingSession:
         show: Callable[[FollowingState], None],
         show_targets: Callable[[Mapping[str, float]], None],
     ) -> None:
-        planning, clock = context.planning, context.clock
+        planning = context.planning
         self.following = Following()
         self._follower, self._joints, self._samples = follower, joints, samples
         self._queue, self._go_to, self._ask = context.queue, context.go_to, planning.ask
-        self._show, self._show_targets, self._clock = show, show_targets, clock
+        self._show, self._show_targets, self._clock = show, show_targets, planning.clock
         self._servo = ServoSession(
             follower.arm,
             replace(follower.setup, period_s=PERIOD_S, at_once=True),
             planning,
-            ServoListener(self._take_status, self._take_interruption),
+            self._take_status,
+            self._take_interruption,
             self._asked,
-            clock,
         )
         self._limits = follower.limits
         self._epoch = arrival_epoch()
@@ -127,7 +125,7 @@ class FollowingSession:
         if gripper is not None:
             limits = self._limits[gripper.joints[0].name]
             self._gripper = GripperFollowing(gripper, limits, lambda: self._gripper_lead)
-        self._read_at_s = clock()
+        self._read_at_s = self._clock()
         self._latency_s = self._lag_rad = 0.0
         # Set by a sample that is followed at once.
         self._came = asyncio.Event()

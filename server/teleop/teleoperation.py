@@ -130,7 +130,7 @@ class Teleoperation(Feature):
     def __init__(
         self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]
     ) -> None:
-        self._graph, self._context, self._queue, self._clock = graph, context, context.queue, context.clock
+        self._graph, self._context, self._queue, self._clock = graph, context, context.queue, graph.clock
         # Its own node, and below the name of each of several followers one.
         self._node = graph.node("teleop")
         self._followers = {follower.name: follower for follower in followers}

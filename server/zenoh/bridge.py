@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
@@ -13,10 +12,9 @@ from typing import TYPE_CHECKING
 from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
 from server.graph.permissions import Identity, Node, Role
 from server.graph.topics import Graph
-from server.zenoh.network import ACTION_PARTS, Network, SharedNames
+from server.zenoh.network import ACTION_PARTS, Network, SessionThread, SharedNames
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
 from server.zenoh.services import CalledServices, OfferedServices
-from server.zenoh.session import SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
 from server.zenoh.topics import IncomingTopics, OutgoingTopics
 
@@ -93,13 +91,7 @@ class Bridge:
 class Sharing:
     """Topics and services that are shared, in both directions."""
 
-    def __init__(
-        self,
-        network: Network,
-        settings: ZenohSettings,
-        authorizer: Authorizer,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, network: Network, settings: ZenohSettings, authorizer: Authorizer) -> None:
         self._network = network
         graph = network.graph
         # Stops go across in both directions, whatever is listed.
@@ -118,9 +110,8 @@ class Sharing:
         self._incoming = IncomingTopics(network, self._subscribe, authorizer)
         self._offered = OfferedServices(network, self._offer, authorizer)
         self._called = CalledServices(network, self._call)
-        self._clock = clock
         self._seen: tuple[int, int, int] | None = None
-        self._refreshed_s = clock()
+        self._refreshed_s = graph.clock()
         self._discovery = Discovery(network.domain_id, network.tokens.session, self._is_relevant)
         network.thread.submit(self._discovery.subscribe)
         self._node = network.declare(lambda session: [session.liveliness().declare_token(network.tokens.node())])
@@ -142,7 +133,7 @@ class Sharing:
 
     def follow(self) -> None:
         """Refresh if anything has changed, or the last refresh is long ago."""
-        graph, now_s = self._network.graph, self._clock()
+        graph, now_s = self._network.graph, self._network.graph.clock()
         # Noted before the refresh: what that changes is looked at once more.
         seen = graph.revision, graph.services.names.revision, self._discovery.revision
         if seen == self._seen and now_s < self._refreshed_s + FULL_REFRESH_PERIOD_S:

@@ -21,18 +21,19 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution import goal as execution
+from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, GoalPolicy
 from server.execution.monitors import CurrentState
 from server.execution.queue import GoalListener, GoalQueue
 from server.graph.actions import ActionGoal, Result
 from server.graph.permissions import Node
-from server.graph.topics import Graph
+from server.graph.topics import Graph, LocalGraph
 from server.moveit.display import DisplayTopics
 from server.moveit.goals.goal_topics import GoalTranslator
 from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.constraints import RequestContext
-from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_context import GoalContext, PlanningContext
 from server.moveit.scene.frames import Frames, LinkTransforms
 from server.moveit.scene.planning_scene import SceneDraft
 from server.moveit.scene.scene_state import AssumedStates, SceneState
@@ -180,8 +181,8 @@ def near(pose: Pose, position_m: tuple[float, float, float], tolerance_m: float 
 def planning_of(
     arm: FakeArm, robot: RobotModel = ROBOT, *, pool: Any = None, graph: Graph | None = None, **parameters: Any
 ) -> PlanningContext:
-    """Return the context of planning for an arm in an empty scene."""
-    scene = SceneState(robot)
+    """Return the context of planning for an arm in an empty scene, in the time of the graph."""
+    graph, scene = graph or Graph(REGISTRY), SceneState(robot)
     return PlanningContext(
         robot=robot,
         pool=pool,
@@ -191,15 +192,31 @@ def planning_of(
         current=CurrentState(arm, robot),
         assumed=AssumedStates(robot),
         parameters=PlannerParameters(MoveItParameters(**parameters)),
-        display=DisplayTopics(graph or Graph(REGISTRY), robot),
+        display=DisplayTopics(graph, robot),
+        clock=graph.clock,
+        confirmation=Confirmation(graph, enabled=False, timeout_s=60.0),
     )
 
 
-def translator(arm: FakeArm | None = None, robot: RobotModel = ROBOT, **parameters: Any) -> GoalTranslator:
+def goal_context(graph: Graph, arm: FakeArm, planning: PlanningContext, queue: Any, **parameters: Any) -> GoalContext:
+    """Return the context of the goals of an only arm."""
+    return GoalContext(
+        graph=LocalGraph(graph),
+        arm=arm.as_arm,
+        robot=planning.robot,
+        parameters=MoveItParameters(**parameters),
+        planning=planning,
+        queue=queue,
+    )
+
+
+def translator(
+    arm: FakeArm | None = None, robot: RobotModel = ROBOT, planning: PlanningContext | None = None
+) -> GoalTranslator:
     """Return a reader of goals of an arm, by default of one at home, in an empty scene, with one state saved."""
     states = NamedStates(robot, robot.default_group, Path("/no file"))
     states.saved = {"Mine": {"elbow_flex": 0.4, "gripper": 1.0}}
-    return GoalTranslator(planning_of(arm or FakeArm(), robot, **parameters), MoveItParameters(**parameters), states)
+    return GoalTranslator(planning or planning_of(arm or FakeArm(), robot), MoveItParameters(), states)
 
 
 TRANSLATOR = translator()

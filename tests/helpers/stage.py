@@ -29,7 +29,7 @@ from server.arrival import arrived_in
 from server.config import Settings
 from server.features.arms import ArmControl, CommissioningOfArms, PolicyChunks, teaching_of, teleoperation_of
 from server.features.context import context_of
-from server.features.moveit import ArmGoals, GoalQueueing, MoveGroup, Servo
+from server.features.moveit import ArmGoals, MoveGroup, Servo
 from server.features.parking import Parkings
 from server.graph.permissions import Node
 from server.graph.topics import Graph
@@ -76,35 +76,20 @@ class ServerStage:
     """Server without sockets, and a client."""
 
     def __init__(self, arm: Arm, settings: Settings = DEFAULTS) -> None:
-        self.graph = Graph(REGISTRY)
+        # Their time is that of the event loop.
+        self.graph = Graph(REGISTRY, asyncio.get_running_loop().time)
         served = ServedArm("", settings.arm, Description("", ROBOT, HardwareTable(), None), arm)
         pool = cast("Planners", TimedPool())
         self.context = context_of(settings, self.graph, (served, (served,)), pool)
         self.teaching, self.teleoperation = teaching_of(self.context), teleoperation_of(self.context)
-        servo = Servo(self.context)
         self.commissioning = CommissioningOfArms(
             self.context, lambda _recalibrated: None, None, shared_calibration=False
         )
-        queue = GoalQueueing(self.context)
-        chunks = PolicyChunks(self.context)
-        of_arms = self.teaching, queue, servo, self.teleoperation, chunks
+        of_arms = self.teaching, self.context.goals, Servo(self.context), self.teleoperation, PolicyChunks(self.context)
         goals = MoveGroup(self.context), ArmGoals(self.context), *of_arms
         self._features = ArmControl(self.context), Parkings(self.context), *goals, self.commissioning
         for feature in goals:
             at_once(feature.start())
-        # Their time is that of the event loop.
-        clock = asyncio.get_running_loop().time
-        self.teleoperation._clock = servo.nodes[""]._session._clock = clock
-        self.teleoperation._context = replace(self.teleoperation._context, clock=clock)
-        executors = self.context.goals.executors
-        executors._context = replace(executors._context, clock=clock)
-        for controller in (each for controllers in goals[1]._controllers.values() for each in controllers):
-            controller._context = replace(controller._context, clock=clock)
-            controller._stream._clock = clock
-        for each in chunks._of_arms:
-            each._clock = each._stream._clock = clock
-            if each._gripper is not None:
-                each._gripper._clock = clock
         self.client = Node("client", remote=True)
         self.answers: list[Any] = []
 

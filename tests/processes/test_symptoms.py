@@ -30,7 +30,7 @@ from robot.hardware.feetech.registers import GOAL_ADDRESS, Register
 from robot.hardware.interface import StatusFlag
 from robot.hardware.port import _refusal
 from robot.messages import Order
-from server.arm.topics import LEVEL_ERROR, LEVEL_OK
+from server.arm.interface import LEVEL_ERROR, LEVEL_OK
 from server.commands.terminal import ExitCode
 from tests.helpers.arm_rig import CALIBRATION, ArmRig
 from tests.helpers.emulator import SteppedEmulator, goal_block

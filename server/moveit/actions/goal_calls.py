@@ -13,7 +13,6 @@ from typing import Any
 from planners.problem import MoveItErrorCode
 from server.diagnostic_values import key_values
 from server.errors import RefusedError, invalid, refused
-from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import PlannedMotion
 from server.execution.queue import GoalQueue
@@ -35,7 +34,6 @@ from server.moveit.goals.goal_topics import (
     suggestion,
 )
 from server.moveit.messages import Message
-from server.moveit.requests.planning_context import PlanningContext
 
 log = logging.getLogger("armbridge.goals")
 
@@ -50,18 +48,10 @@ MAX_JOINTS = 200
 class GoalCalls:
     """The service and the action ``/moveit_goal``."""
 
-    def __init__(
-        self,
-        graph: LocalGraph,
-        queue: GoalQueue,
-        translator: GoalTranslator,
-        confirmation: Confirmation,
-        context: PlanningContext,
-    ) -> None:
+    def __init__(self, graph: LocalGraph, queue: GoalQueue, translator: GoalTranslator) -> None:
         self._queue = queue
         self._translator = translator
-        self._confirmation = confirmation
-        self._context = context
+        self._context = translator.planning
         self._node = graph.node("moveit goal")
         self._name = self._node.resolve(NAME)
         lists = ("name", "position", "velocity", "effort")
@@ -110,7 +100,7 @@ class GoalCalls:
         message: Message = {}
         proposed = client.is_viewer and not request["plan_only"]
         try:
-            if proposed and (first := self._confirmation.proposal) is not None:
+            if proposed and (first := self._context.confirmation.proposal) is not None:
                 state = "is carried out" if first.remaining_s is not None else "waits for approval"
                 sentence = (
                     f"{first.title} {state}; one proposed goal is taken at a time: wait for its answer, or cancel it"
@@ -128,12 +118,12 @@ class GoalCalls:
             report(Progress(GoalState.PLANNING, "planning"))
             work = self._plan(motion, client)
             return plan_without_moving(work, self._name, lambda answer: end(self._result(message, answer)))
-        motion = replace(motion, confirm=proposed or self._confirmation.enabled, proposed=proposed)
+        motion = replace(motion, confirm=proposed or self._context.confirmation.enabled, proposed=proposed)
         # A proposal neither preempts a motion nor is refused for one.
         policy = GoalPolicy.QUEUE if proposed else None
         queued = self._queue.submit(GoalRequest(self._name, motion, message, client, policy=policy, on_progress=report))
         if proposed:
-            self._confirmation.propose(queued)
+            self._context.confirmation.propose(queued)
         queued.answered.add_done_callback(
             lambda answered: end(self._result(message, answered.result(), queued.goal_id))
         )

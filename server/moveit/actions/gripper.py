@@ -9,7 +9,6 @@ import asyncio
 import functools
 import logging
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
@@ -17,13 +16,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from planners.problem import MoveItErrorCode
-from robot.arm_group import AnyArm
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.arrival import is_stopped
 from server.errors import RefusedError, invalid
-from server.execution.goal import BRAKING_TIMEOUT_S, CancelScope, ExecutionDeadline, MotionWatch, TimeLimits
+from server.execution.goal import BRAKING_TIMEOUT_S, CancelScope, ExecutionDeadline, MotionWatch
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.motions import MotionsInProgress
 from server.graph.actions import ActionGoal, GoalStatus
@@ -32,6 +30,7 @@ from server.graph.permissions import GOAL
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal
 from server.moveit.messages import Message
+from server.moveit.requests.planning_context import GoalContext
 
 log = logging.getLogger("armbridge.gripper")
 
@@ -84,34 +83,19 @@ class GripperReading:
     efforts: tuple[float, ...]
 
 
-@dataclass(frozen=True)
-class GripperLimits:
-    """Limits of a gripper's motions."""
-
-    velocity_scaling: float
-    acceleration_scaling: float
-    torque: float
-    time: TimeLimits
-
-
 class Gripper:
     """Gripper of one or two fingers, which all go to the same position within the limits of their joints."""
 
     def __init__(
-        self,
-        arm: AnyArm,
-        joints: Sequence[Joint],
-        limits: GripperLimits,
-        in_progress: MotionsInProgress | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, context: GoalContext, names: Sequence[str], torque_limit: float, in_progress: MotionsInProgress
     ) -> None:
-        self._arm = arm
-        self.joints = tuple(joints)
-        self._names = tuple(joint.name for joint in joints)
-        self._limits = limits
-        self._max_acceleration = limits.acceleration_scaling * min(joint.max_acceleration for joint in joints)
-        self._in_progress = in_progress or MotionsInProgress()
-        self._clock = clock
+        parameters, planning = context.parameters, context.planning
+        self._arm, self._names = context.arm.part(names), tuple(names)
+        self.joints = tuple(context.robot.joints[name] for name in names)
+        self._velocity_scaling, self._torque_limit = parameters.max_velocity_scaling, torque_limit
+        slowest = min(joint.max_acceleration for joint in self.joints)
+        self._max_acceleration = parameters.max_acceleration_scaling * slowest
+        self._time_limits, self._clock, self._in_progress = planning.time_limits, planning.clock, in_progress
         self._newest: CancelScope | None = None
         self._turn = asyncio.Lock()
         self._motion: asyncio.Future[MotionEnded] | None = None
@@ -137,7 +121,7 @@ class Gripper:
 
     def claim(self) -> CancelScope:
         """Claim the gripper for the request in progress; a request that a stop has overtaken replaces no other."""
-        claim = CancelScope(deadline=ExecutionDeadline(self._limits.time))
+        claim = CancelScope(deadline=ExecutionDeadline(self._time_limits))
         if not is_stopped(self._arm.last_stop, claim.epoch):
             if self._newest is not None:
                 self._newest.cancel("a newer command has come")
@@ -177,15 +161,15 @@ class Gripper:
         self, claim: CancelScope, command: GripperCommand, report: Callable[[GripperReading], None]
     ) -> MotionEnded:
         check_ready(self._arm)
-        scaling = min(self._limits.velocity_scaling, self._arm.state.pace.speed_limit)
+        scaling = min(self._velocity_scaling, self._arm.state.pace.speed_limit)
         fastest = scaling * min(joint.max_velocity for joint in self.joints)
         velocity = min(command.max_velocity or fastest, fastest)
         trajectory = fingers_together(self._names, self._goals(), command.position, velocity, self._max_acceleration)
         field = f"the duration of the way to {command.position:.3f} {self.joints[0].unit}"
-        self._limits.time.check_duration(
+        self._time_limits.check_duration(
             trajectory.duration_s, field, MoveItErrorCode.FAILURE, ": raise the command's velocity"
         )
-        share = min(command.max_effort / self._limits.torque, 1.0) if command.max_effort else 1.0
+        share = min(command.max_effort / self._torque_limit, 1.0) if command.max_effort else 1.0
         self._ends_s = self._clock() + trajectory.duration_s
         motion = self._arm.execute(trajectory, gripping=True, torque_share=share, epoch=claim.epoch)
         self._motion = motion

@@ -6,7 +6,6 @@ https://control.ros.org/master/doc/ros2_controllers/joint_trajectory_controller/
 import functools
 import logging
 import math
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -15,20 +14,17 @@ from typing import Any, TypeAlias
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
-from robot.arm_group import AnyArm
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
-from server.errors import GraphError, RefusedError, refused
+from server.errors import GraphError, RefusedError, invalid_plan
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Positions
-from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.permissions import GOAL
-from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import goal_status, submit_goal
 from server.moveit.messages import Message
-from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_context import GoalContext, PlanningContext
 from server.moveit.requests.planning_problems import TRAJECTORY_LIMITS
 from server.moveit.trajectories import TrajectoryTiming, check_speed, external_motion, read_seconds
 
@@ -81,20 +77,10 @@ class SegmentTolerances:
     time_s: float
 
 
-@dataclass(frozen=True)
-class TrajectoryContext:
-    """Context of trajectories that clients bring."""
-
-    planning: PlanningContext
-    queue: GoalQueue
-    time_limits: TimeLimits
-    clock: Callable[[], float] = time.monotonic
-
-    def check_speed(self, trajectory: Trajectory) -> None:
-        """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower."""
-        planning = self.planning
-        if planning.parameters.configured.faster_trajectories == "refuse":
-            check_speed(trajectory, planning.robot, planning.current.speed_limit(trajectory.joint_names))
+def check_allowed_speed(trajectory: Trajectory, planning: PlanningContext) -> None:
+    """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower."""
+    if planning.parameters.configured.faster_trajectories == "refuse":
+        check_speed(trajectory, planning.robot, planning.current.speed_limit(trajectory.joint_names))
 
 
 class JointTrajectoryController:
@@ -103,28 +89,19 @@ class JointTrajectoryController:
     Its name stands before ``_controller``; ``industrial`` offers the action as `INDUSTRIAL_ACTION` too.
     """
 
-    def __init__(
-        self,
-        graph: LocalGraph,
-        group: Group,
-        arm: AnyArm,
-        context: TrajectoryContext,
-        name: str,
-        *,
-        industrial: bool,
-    ) -> None:
-        self._group, self._arm, self._context = group, arm, context
-        self._robot, self._queue = context.planning.robot, context.queue
+    def __init__(self, context: GoalContext, group: Group, name: str, *, industrial: bool) -> None:
+        self._group, self._arm, self._queue = group, context.arm, context.queue
+        self._planning, self._robot = context.planning, context.planning.robot
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
         # Publisher on the topic whose latest trajectory was refused, and whose latest one failed after that.
         self._refused: object = None
         self._failed: object = None
         self._topic = f"/{name}_controller/joint_trajectory"
-        self._stream = MessageStream(self._topic, context.clock)
+        self._stream = MessageStream(self._topic, context.planning.clock)
         action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
-        node = self._node = graph.node(f"{group.name} controller")
+        node = self._node = context.graph.node(f"{group.name} controller")
         # ROS 2's name, and ROS 1's.
         self._state_topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
         for topic in self._state_topics:
@@ -223,11 +200,11 @@ class JointTrajectoryController:
 
     def _motion(self, trajectory: Message, *, streamed: bool) -> ExternalTrajectory:
         """Make the motion of a trajectory, and check that it can be played from where the arm is now."""
-        context, now_s = self._context, self._context.clock()
-        check_duration(trajectory, context.time_limits)
+        planning, now_s = self._planning, self._planning.clock()
+        check_duration(trajectory, planning.time_limits)
         starts_in_s = check_trajectory(trajectory, self._group, self._node.message_types.wall_clock())
         last_s = read_seconds(trajectory["points"][-1]["time_from_start"], "trajectory.points[-1].time_from_start")
-        context.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
+        planning.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
         # A client without a stamp has the stamp of its arrival.
         rate = self._arm.rate
         stamped = abs(starts_in_s) > SAME_STAMP_S * rate
@@ -236,13 +213,13 @@ class JointTrajectoryController:
             now_s + starts_in_s / rate,
             stamped=stamped,
             bridged=streamed or stamped or moving,
-            speed_limit=context.planning.current.speed_limit(self._group.joints),
+            speed_limit=planning.current.speed_limit(self._group.joints),
             rate=rate,
         )
         motion = external_motion(trajectory, self._robot, timing)
-        present_rad = context.planning.current.positions_rad()
+        present_rad = planning.current.positions_rad()
         if present_rad is not None:
-            context.check_speed(motion.trajectory(present_rad, now_s, None))
+            check_allowed_speed(motion.trajectory(present_rad, now_s, None), planning)
         return motion
 
 
@@ -313,7 +290,7 @@ def read_segment_tolerances(goal: Message, group: Group) -> SegmentTolerances:
     end = read_tolerances(goal["goal_tolerance"], "goal_tolerance", group.joints)
     time_s = read_seconds(goal["goal_time_tolerance"], "goal_time_tolerance")
     if time_s > MAX_GOAL_TIME_TOLERANCE_S:
-        raise _invalid(f"goal_time_tolerance must be at most {MAX_GOAL_TIME_TOLERANCE_S:g} s, not {time_s:g} s")
+        raise invalid_plan(f"goal_time_tolerance must be at most {MAX_GOAL_TIME_TOLERANCE_S:g} s, not {time_s:g} s")
     return SegmentTolerances(path, end, max(time_s, 0.0))
 
 
@@ -323,9 +300,9 @@ def read_tolerances(messages: Sequence[Message], field: str, joints: Sequence[st
     for message in messages:
         name, position_rad = message["name"], message["position"]
         if name not in joints:
-            raise _invalid(f"{field} names the joint {name!r}; the controller has {', '.join(joints)}", joint=name)
+            raise invalid_plan(f"{field} names the joint {name!r}; the controller has {', '.join(joints)}", joint=name)
         if math.isnan(position_rad):
-            raise _invalid(f"{field}: position of joint {name} must be a number, not nan", joint=name)
+            raise invalid_plan(f"{field}: position of joint {name} must be a number, not nan", joint=name)
         if position_rad > 0.0:
             tolerances[name] = float(position_rad)
     return tolerances
@@ -352,7 +329,7 @@ def check_trajectory(trajectory: Message, group: Group, now_s: float) -> float:
     Raises TrajectoryRefusedError for another joint, or when its time is over.
     """
     if not trajectory["points"]:
-        raise _invalid("trajectory.points is empty; to stop the arm, cancel the goal")
+        raise invalid_plan("trajectory.points is empty; to stop the arm, cancel the goal")
     unknown = [name for name in trajectory["joint_names"] if name not in group.joints]
     if unknown:
         text = f"trajectory.joint_names has {unknown[0]!r}; the controller has {', '.join(group.joints)}"
@@ -396,7 +373,3 @@ def result(code: FollowCode, message: str) -> Message:
 def point(positions_rad: Vector) -> dict[str, Any]:
     """Write a trajectory_msgs/JointTrajectoryPoint with nothing but positions."""
     return {"positions": positions_rad.tolist()}
-
-
-def _invalid(message: str, **details: Any) -> RefusedError:
-    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message, **details)

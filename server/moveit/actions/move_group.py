@@ -29,11 +29,11 @@ from server.moveit.actions.goal_bridge import (
     reject_goal,
     submit_goal,
 )
-from server.moveit.actions.joint_trajectory_controller import TrajectoryContext, check_duration
+from server.moveit.actions.joint_trajectory_controller import check_allowed_speed, check_duration
 from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
-from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, RequestStep, sequence_requests
+from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, sequence_requests
 from server.moveit.trajectories import external_motion, external_trajectory, is_long, to_message
 
 log = logging.getLogger("armbridge.actions")
@@ -214,7 +214,7 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
     if present_rad is not None:
         warnings += _check_requests(goal.requests, present_rad, context)
     return PlannedMotion(
-        steps=tuple(RequestStep(context.problems, request) for request in goal.requests),
+        steps=tuple(map(context.problems.request_step, goal.requests)),
         joints=context.problems.joints(goal.requests),
         scene=None if diff is None else lambda now_rad: context.scene_state.with_diff(diff, now_rad),
         attempts=goal.attempts,
@@ -234,7 +234,7 @@ async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) 
         warnings = _check_requests(goal.requests, start.start_rad, context)
     except RefusedError as error:
         return Answer.of(error.failure)
-    steps = tuple(RequestStep(context.problems, request) for request in goal.requests)
+    steps = tuple(map(context.problems.request_step, goal.requests))
     return await plan_steps(steps, start, scene, context, (*goal.warnings, *warnings))
 
 
@@ -261,9 +261,7 @@ def _check_requests(requests: Sequence[Message], start_rad: Positions, context: 
     return tuple(warning for one in built for warning in one.warnings)
 
 
-def offer_execute_trajectory(graph: Graph, context: TrajectoryContext) -> None:
-    robot, current = context.planning.robot, context.planning.current
-
+def offer_execute_trajectory(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
     def result(answer: Answer) -> Message:
         return {"error_code": error_code(answer.code, answer.message)}
 
@@ -279,12 +277,12 @@ def offer_execute_trajectory(graph: Graph, context: TrajectoryContext) -> None:
         try:
             # A trajectory that cannot be played does not replace the motion of another goal.
             check_duration(message, context.time_limits)
-            if (present_rad := current.positions_rad()) is not None:
-                context.check_speed(external_trajectory(message, robot, present_rad))
+            if (present_rad := context.current.positions_rad()) is not None:
+                check_allowed_speed(external_trajectory(message, context.robot, present_rad), context)
         except RefusedError as error:
-            reject_goal(goal, context.queue, error.failure, result)
+            reject_goal(goal, queue, error.failure, result)
         else:
-            _execute(goal, context.queue, external_motion(message, robot), result)
+            _execute(goal, queue, external_motion(message, context.robot), result)
 
     node, type_name = graph.node("execute trajectory"), "moveit_msgs/action/ExecuteTrajectory"
     node.offer_action(EXECUTE_ACTION, type_name, start, TRAJECTORY_LIMITS, rule=GOAL)

@@ -48,8 +48,8 @@ NOT_CHECKED = PlanningFailure(
 UNKNOWN = -1.0
 
 
-def offer_goal_checks(graph: Graph, translator: GoalTranslator, planning: PlanningContext) -> None:
-    turn = asyncio.Lock()
+def offer_goal_checks(graph: Graph, translator: GoalTranslator) -> None:
+    planning, turn = translator.planning, asyncio.Lock()
 
     async def check(request: dict[str, Any]) -> dict[str, Any]:
         poses, joints = request["poses"], request["joints"]
@@ -87,7 +87,7 @@ def _problem(
     translator: GoalTranslator, topic: str, message: Message, present_rad: Positions
 ) -> PlanningProblem | PlanningFailure:
     try:
-        problem = translator.motion(topic, message).steps[0].problem(present_rad)
+        problem = translator.motion(topic, message).steps[0](present_rad)
     except RefusedError as error:
         return error.failure
     match problem:

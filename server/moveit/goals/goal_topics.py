@@ -13,9 +13,8 @@ from planners.scene import Pose
 from protocol.errors import MessageError
 from protocol.publication import PublishedMessage
 from robot.description.model import Group, RobotModel
-from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, key_values
+from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, diagnostic_status
 from server.errors import RefusedError, invalid, refused
-from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, Goal, GoalRequest, GoalState, Progress
 from server.execution.motions import Joints, PlannedMotion, Positions
 from server.execution.queue import GoalListener, GoalQueue
@@ -26,7 +25,6 @@ from server.moveit.named_states import NamedStates
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.constraints import checked_tip, chooses_orientation, planning_group, tip_link
 from server.moveit.requests.planning_context import PlanningContext
-from server.moveit.requests.planning_problems import GoalStep
 
 log = logging.getLogger("armbridge.goals")
 
@@ -72,12 +70,9 @@ class GoalTranslator:
     ) -> None:
         self._prefix = prefix
         self._only_joints = only_joints
-        self._robot = planning.robot
+        self.planning, self._robot = planning, planning.robot
         self._parameters = parameters
         self._states = states
-        self._frames = planning.frames
-        self._current = planning.current
-        self._problems = planning.problems
         self.group = planning_group(planning.robot, "", parameters)
 
     @property
@@ -190,15 +185,15 @@ class GoalTranslator:
         else:
             goal = PositionGoal(tip, read_point(message["pose"]["position"], "pose.position"), radius_m)
         # An unknown frame is rejected at once, not when the goal's turn comes.
-        present_rad = self._current.positions_rad()
+        present_rad = self.planning.current.positions_rad()
         if present_rad is not None:
-            self._frames.resolve(frame, present_rad)
+            self.planning.frames.resolve(frame, present_rad)
         return self._motion(group, goal, options, frame)
 
     def pose_in_root(self, message: Message, positions_rad: Positions) -> Pose:
         """Return the whole pose of a geometry_msgs/PoseStamped in the root link."""
         pose = read_pose(message["pose"], "pose")
-        return composed(self._frames.resolve(self._frame(message), positions_rad), pose)
+        return composed(self.planning.frames.resolve(self._frame(message), positions_rad), pose)
 
     def _frame(self, message: Message) -> str:
         frame: str = message["header"]["frame_id"] or self._parameters.planning_frame
@@ -208,7 +203,7 @@ class GoalTranslator:
         self, group: Group, goal: AnyGoal, options: GoalOptions, frame: str | None = None, notes: tuple[str, ...] = ()
     ) -> PlannedMotion:
         self._check_own(group)
-        step = GoalStep(self._problems, group, goal, options.parameters, frame)
+        step = self.planning.problems.goal_step(group, goal, options.parameters, frame)
         return PlannedMotion((step,), frozenset(group.joints), warnings=notes)
 
 
@@ -371,13 +366,7 @@ def _status(goal: Goal, progress: Progress, level: int, details: Mapping[str, st
     if "header" in goal.request.message:
         stamp = goal.request.message["header"]["stamp"]
         values["stamp"] = f"{stamp['sec']}.{stamp['nanosec']:09d}"
-    return {
-        "level": level,
-        "name": goal.request.source,
-        "message": progress.message,
-        "hardware_id": goal.goal_id,
-        "values": key_values({**values, **details}),
-    }
+    return diagnostic_status(level, goal.request.source, progress.message, {**values, **details}, goal.goal_id)
 
 
 def details_as_json(answer: Answer) -> dict[str, str]:
@@ -388,17 +377,11 @@ class GoalTopics:
     """Topics by which goals are sent, their group is chosen, and they are cancelled or, of some joints, stopped."""
 
     def __init__(
-        self,
-        node: LocalNode,
-        queue: GoalQueue,
-        translator: GoalTranslator,
-        confirmation: Confirmation,
-        joints: Joints | None = None,
+        self, node: LocalNode, queue: GoalQueue, translator: GoalTranslator, joints: Joints | None = None
     ) -> None:
         self._node = node
         self._queue = queue
         self._translator = translator
-        self._confirmation = confirmation
         self._joints = joints
         for goal_topic, type_name in ((NAMED_TOPIC, NAMED_TYPE), (JOINTS_TOPIC, JOINTS_TYPE), (POSE_TOPIC, POSE_TYPE)):
             self._take_goals(goal_topic, type_name)
@@ -422,7 +405,7 @@ class GoalTopics:
                 return
             for warning in motion.warnings:
                 log.warning("%s: %s", source, warning)
-            motion = replace(motion, confirm=self._confirmation.enabled)
+            motion = replace(motion, confirm=self._translator.planning.confirmation.enabled)
             self._queue.submit(GoalRequest(source, motion, message, published.publisher))
 
         def reject_invalid(error: MessageError) -> None:

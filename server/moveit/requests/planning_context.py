@@ -6,18 +6,21 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from planners.interface import Planners
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
 from planners.servo.question import ServoAnswer, ServoQuestion
+from robot.arm_group import AnyArm
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import refused
-from server.execution.monitors import CurrentState
+from server.execution.confirmation import Confirmation
+from server.execution.executor import ExecutionContext
+from server.execution.queue import GoalQueue
 from server.graph.permissions import Node
+from server.graph.topics import LocalGraph
 from server.moveit.display import DisplayTopics
 from server.moveit.messages import Message, read_joint_positions
-from server.moveit.parameters import PlannerParameters
+from server.moveit.parameters import MoveItParameters, PlannerParameters
 from server.moveit.requests.planning_problems import ProblemBuilder
 from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import AssumedStates, SceneState
@@ -100,16 +103,14 @@ class PlanningStart:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
-class PlanningContext:
+@dataclass(frozen=True, kw_only=True)
+class PlanningContext(ExecutionContext):
     """All that services and actions plan with."""
 
-    robot: RobotModel
-    pool: Planners
     forward: ForwardPlacements
     frames: Frames
     scene_state: SceneState
-    current: CurrentState
+    confirmation: Confirmation
     assumed: AssumedStates
     parameters: PlannerParameters
     display: DisplayTopics
@@ -144,3 +145,19 @@ class PlanningContext:
     def _known_rad(self, caller: Node) -> Mapping[str, float] | None:
         assumed, current = self.assumed.of(caller), self.current.positions_rad()
         return current if assumed is None else {**(current or {}), **assumed}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GoalContext:
+    """Context of the goals of one arm, or of all arms together, with the arm's own parameters."""
+
+    graph: LocalGraph
+    arm: AnyArm
+    robot: RobotModel
+    parameters: MoveItParameters
+    planning: PlanningContext
+    queue: GoalQueue
+
+    @cached_property
+    def joints(self) -> frozenset[str]:
+        return frozenset(joint.name for joint in self.robot.movable_joints)

@@ -6,10 +6,11 @@ its center (``center``):
 https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 """
 
+import functools
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from planners.problem import (
 )
 from planners.scene import Point, Pose
 from robot.description.model import Group, RobotModel
-from server.errors import RefusedError, invalid, refused
+from server.errors import invalid, invalid_plan, refused
 from server.execution.motions import Joints, MotionStep, Positions
 from server.graph.list_limits import ListLimits
 from server.moveit.messages import Message, check_finite, composed
@@ -102,15 +103,22 @@ class ProblemBuilder:
     def context(self, group: Group, start_rad: Positions) -> RequestContext:
         return RequestContext(self.robot, group, self.frames, start_rad, self.parameters.of(group.name))
 
-    def goal(
-        self, group: Group, goal: AnyGoal, start_rad: Positions, parameters: MoveItParameters | None = None
+    def goal_step(
+        self, group: Group, goal: AnyGoal, parameters: MoveItParameters | None = None, frame: str | None = None
+    ) -> Callable[[Positions], PlanningProblem]:
+        """Return the step to a goal in the root link, or in a frame that may move with the arm.
+
+        Parameters of its own take the place of the configured ones.
+        """
+        return functools.partial(self._goal, group, goal, parameters or self.parameters.configured, frame)
+
+    def _goal(
+        self, group: Group, goal: AnyGoal, parameters: MoveItParameters, frame: str | None, start_rad: Positions
     ) -> PlanningProblem:
-        """Build the problem of a goal that comes with nothing else, by parameters of its own or the configured ones."""
-        parameters = parameters or self.parameters.configured
         return PlanningProblem(
             group=group.name,
             start_rad=start_rad,
-            goal=goal,
+            goal=goal if frame is None else self.placed(goal, frame, start_rad),
             velocity_scaling=min(parameters.max_velocity_scaling, self.speed_limit(group.joints)),
             acceleration_scaling=parameters.max_acceleration_scaling,
             allowed_time_s=parameters.allowed_planning_time,
@@ -118,6 +126,10 @@ class ProblemBuilder:
             planner_id=parameters.planner_id,
             optimization_time_s=parameters.shortening_time_s(parameters.allowed_planning_time),
         )
+
+    def request_step(self, request: Message) -> MotionStep:
+        """Return the step of a moveit_msgs/MotionPlanRequest."""
+        return lambda start_rad: self.motion_plan(request, start_rad).problem
 
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
         """Build the problem of a moveit_msgs/MotionPlanRequest; its start state is read before."""
@@ -224,32 +236,6 @@ class ProblemBuilder:
         return BuiltProblem(question, tuple(context.warnings))
 
 
-@dataclass(frozen=True)
-class GoalStep(MotionStep):
-    """Motion to a goal in the root link, or in a frame that may move with the arm, by parameters of its own if any."""
-
-    problems: ProblemBuilder
-    group: Group
-    goal: AnyGoal
-    parameters: MoveItParameters | None = None
-    frame: str | None = None
-
-    def problem(self, start_rad: Positions) -> PlanningProblem:
-        goal = self.goal if self.frame is None else self.problems.placed(self.goal, self.frame, start_rad)
-        return self.problems.goal(self.group, goal, start_rad, self.parameters)
-
-
-@dataclass(frozen=True)
-class RequestStep(MotionStep):
-    """Motion of a moveit_msgs/MotionPlanRequest."""
-
-    problems: ProblemBuilder
-    request: Message
-
-    def problem(self, start_rad: Positions) -> PlanningProblem | CartesianProblem:
-        return self.problems.motion_plan(self.request, start_rad).problem
-
-
 def sequence_requests(sequence: Message) -> list[Message]:
     """Return the moveit_msgs/MotionPlanRequest of a sequence's items, in their order.
 
@@ -257,16 +243,16 @@ def sequence_requests(sequence: Message) -> list[Message]:
     """
     items = sequence["items"]
     if not 1 <= len(items) <= MAX_ITEMS:
-        raise _invalid_sequence(f"items has {len(items)} entries; 1 to {MAX_ITEMS} are allowed")
+        raise invalid_plan(f"items has {len(items)} entries; 1 to {MAX_ITEMS} are allowed")
     for index, item in enumerate(items):
         if item["blend_radius"] != 0.0:
-            raise _invalid_sequence(
+            raise invalid_plan(
                 f"items[{index}].blend_radius must be 0 m, not {item['blend_radius']:g}: corners are not rounded, the"
                 " arm comes to rest at the end of each item",
                 item=index,
             )
         if index > 0 and item["req"]["start_state"]["joint_state"]["name"]:
-            raise _invalid_sequence(
+            raise invalid_plan(
                 f"items[{index}].req.start_state must be empty: the item begins where the one before ends", item=index
             )
     return [item["req"] for item in items]
@@ -448,10 +434,6 @@ def _goal_of_links(links: Sequence[str], poses: Sequence[Message], context: Requ
 
 def _stamped_pose(stamped: Message, context: RequestContext) -> Pose:
     return context.placed(stamped["header"]["frame_id"], stamped["pose"], "pose_stamped.pose")
-
-
-def _invalid_sequence(message: str, **details: Any) -> RefusedError:
-    return refused(MoveItErrorCode.INVALID_MOTION_PLAN, message, **details)
 
 
 # Of all motions of a sequence together: for each item of the longest one, two constraints on poses and ten on joints.

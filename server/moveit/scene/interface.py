@@ -3,7 +3,6 @@
 import asyncio
 import functools
 import logging
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -33,7 +32,6 @@ from server.moveit.scene.collision_objects import (
 from server.moveit.scene.geometry_files import offer_geometry_files
 from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
-from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.scene")
 
@@ -195,24 +193,14 @@ def _subscribe_to_scene_topics(node: LocalNode, state: SceneState, current: Curr
 class MonitoredScenePublisher:
     """Publisher of scene diffs on ``/monitored_planning_scene``; a new subscriber gets the whole scene first."""
 
-    def __init__(
-        self,
-        graph: Graph,
-        state: SceneState,
-        current: CurrentState,
-        rate_hz: float,
-        clock: Callable[[], float] = time.monotonic,
-        call_later: CallLater = call_later,
-    ) -> None:
+    def __init__(self, graph: Graph, state: SceneState, current: CurrentState, rate_hz: float) -> None:
         self._graph = graph
         self._node = graph.node("planning_scene")
         self._state = state
         self._current = current
-        self._clock = clock
-        self._call_later = call_later
         self._published = state.contents
         self._period_s = 1.0 / rate_hz
-        self._published_at_s = clock() - self._period_s
+        self._published_at_s = graph.clock() - self._period_s
         self._timer: asyncio.TimerHandle | None = None
         self._node.advertise(MONITORED_TOPIC, "moveit_msgs/PlanningScene")
         self._latch()
@@ -225,10 +213,10 @@ class MonitoredScenePublisher:
     def _schedule(self) -> None:
         if self._timer is None:
             due_s = self._published_at_s + self._period_s
-            self._timer = self._call_later(max(0.0, due_s - self._clock()), self._publish)
+            self._timer = self._graph.call_later(max(0.0, due_s - self._graph.clock()), self._publish)
 
     def _publish(self) -> None:
-        self._timer, self._published_at_s = None, self._clock()
+        self._timer, self._published_at_s = None, self._graph.clock()
         before, self._published = self._published, self._state.contents
         if before != self._published:
             self._node.publish(

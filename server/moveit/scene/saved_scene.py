@@ -239,20 +239,13 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
     """Offer ``/arm/scenes/list``, ``/arm/scenes/save``, ``/arm/scenes/load`` and ``/arm/scenes/delete``."""
     node = graph.node("saved scenes")
 
-    async def names(_request: Message) -> Message:
-        return {"names": await scenes.names()}
-
     def load(request: Message) -> Awaitable[str]:
         return scenes.load(request["name"], current.positions_rad())
-
-    async def delete(request: Message) -> str:
-        await scenes.delete(request["name"])
-        return f"the scene {request['name']!r} is deleted"
 
     def save(request: Message) -> Awaitable[str]:
         return scenes.save(request["name"])
 
-    node.offer("/arm/scenes/list", "armbridge_msgs/srv/ListScenes", names, rule=LOOKING)
+    node.offer("/arm/scenes/list", "armbridge_msgs/srv/ListScenes", scenes.list_for, rule=LOOKING)
     node.offer("/arm/scenes/save", "armbridge_msgs/srv/SaveScene", save, rule=CONFIGURING)
     node.offer("/arm/scenes/load", "armbridge_msgs/srv/LoadScene", load, rule=WORKING)
-    node.offer("/arm/scenes/delete", "armbridge_msgs/srv/DeleteScene", delete, rule=CONFIGURING)
+    node.offer("/arm/scenes/delete", "armbridge_msgs/srv/DeleteScene", scenes.delete_for, rule=CONFIGURING)

@@ -14,7 +14,6 @@ import itertools
 import json
 import logging
 import math
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -166,9 +165,9 @@ class _Subscription:
 class TransformRepublisher:
     """The action and the service."""
 
-    def __init__(self, graph: Graph, frames: Frames, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, graph: Graph, frames: Frames) -> None:
         self._frames = frames
-        self._clock = clock
+        self._clock = graph.clock
         self._node = graph.node("tf2 web republisher")
         self._goals: dict[ActionGoal, _Subscription] = {}
         self._topics: dict[str, _Subscription] = {}

@@ -35,7 +35,6 @@ from server.moveit.requests.planning_problems import (
     PILZ,
     PIPELINES,
     PLANNING_LIMITS,
-    RequestStep,
     check_pipeline,
     sequence_requests,
 )
@@ -240,7 +239,7 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
     If an item cannot be planned, the response has the motions of the items before it, and the item's error code.
     """
     requests = sequence_requests(request["request"])
-    steps = [RequestStep(context.problems, item) for item in requests]
+    steps = [*map(context.problems.request_step, requests)]
     start = context.start(requests[0]["start_state"], caller)
     planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool)
     root, performed, failure = context.robot.root_link, planned, planned.failure

@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import logging
 import math
-import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -161,17 +160,10 @@ def _scaled(values: Mapping[str, float], scale: float, parameters: ServoParamete
     return [value * scale if unitless else value for value in values.values()]
 
 
-@dataclass(frozen=True)
-class ServoListener:
-    """Listener of a servo loop: takes the status of every step, and the reason of a stop from elsewhere."""
-
-    status: Callable[[ServoStatus, str], None]
-    interrupted: Callable[[str], None]
-
-
 class ServoSession:
     """Servo loop of one group of joints. It controls the arm from a command until the arm has come to rest.
 
+    ``publish_status`` takes the status of every step, ``interrupted`` the reason of a stop from elsewhere.
     Without ``ask`` the planners of ``planning`` answer.
     """
 
@@ -180,16 +172,16 @@ class ServoSession:
         arm: AnyArm,
         setup: ServoSetup,
         planning: PlanningContext,
-        listener: ServoListener,
+        publish_status: Callable[[ServoStatus, str], None],
+        interrupted: Callable[[str], None],
         ask: Ask | None = None,
-        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._arm = arm
         self._current = planning.current
         self._setup = setup
         self._ask, self._resolve = ask or planning.ask, planning.frames.resolve
-        self._publish_status, self._interrupted = listener.status, listener.interrupted
-        self._clock = clock
+        self._publish_status, self._interrupted = publish_status, interrupted
+        self._clock = planning.clock
         self._input: ServoInput = JointVelocities({})
         self._expires_at_s = -math.inf
         self._task: asyncio.Task[None] | None = None

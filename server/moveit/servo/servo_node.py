@@ -4,7 +4,6 @@ import functools
 import json
 import logging
 import math
-import time
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -19,17 +18,14 @@ from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError, ServiceError, UnsuccessfulError, invalid
 from server.execution.monitors import check_ready
-from server.execution.motions import Joints
-from server.execution.queue import GoalQueue
 from server.graph.permissions import STOPPING, SWITCHING
-from server.graph.topics import LocalGraph, LocalNode
+from server.graph.topics import LocalNode
 from server.moveit.messages import Message
 from server.moveit.parameters import LEAST_TIMEOUT_S, MoveItParameters
 from server.moveit.requests.constraints import planning_group, tip_link
-from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_context import GoalContext
 from server.moveit.servo.servo_loop import (
     ServoInput,
-    ServoListener,
     ServoSession,
     ServoSetup,
     read_joint_jog,
@@ -109,17 +105,16 @@ class Press:
 class StatusPublisher:
     """Publisher of ``/servo_node/status``, after every step of the loop and for every rejected command."""
 
-    def __init__(self, node: LocalNode, type_name: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, node: LocalNode, type_name: str) -> None:
         self._node = node
         self._type_name = type_name
-        self._clock = clock
         self._log = LogLimiter(1, 1.0 / LOGGED_AGAIN_S)
         node.advertise(STATUS_TOPIC, type_name, latch=True)
 
     def publish(self, status: ServoStatus, message: str) -> None:
         """Publish a status; an error is logged as well, once in `LOGGED_AGAIN_S` while it is repeated."""
         if status is ServoStatus.INVALID:
-            self._log.write(log, logging.WARNING, f"servo: {message}", message, self._clock())
+            self._log.write(log, logging.WARNING, f"servo: {message}", message, self._node.clock())
         if self._type_name == INT8:
             self._node.publish(STATUS_TOPIC, {"data": HUMBLE_NUMBERS.get(status, int(status))})
         else:
@@ -223,27 +218,23 @@ def servo_setup(robot: RobotModel, parameters: MoveItParameters) -> ServoSetup:
 
 
 class ServoNode:
-    """MoveIt Servo's node; goals that move any of the ``busy_joints`` have precedence, except a policy's."""
+    """MoveIt Servo's node; by the names of all arms, the configured group is steered.
 
-    def __init__(
-        self,
-        graph: LocalGraph,
-        parameters: MoveItParameters,
-        arm: AnyArm,
-        planning: PlanningContext,
-        queue: GoalQueue,
-        busy_joints: Joints,
-    ) -> None:
-        servo, setup = parameters.servo, servo_setup(planning.robot, parameters)
-        self._arm, self._queue, self._busy_joints = arm, queue, busy_joints
+    Goals that move the steered arm have precedence, except a policy's.
+    """
+
+    def __init__(self, context: GoalContext) -> None:
+        planning, servo = context.planning, context.parameters.servo
+        setup = servo_setup(planning.robot, context.parameters)
+        arm = self._arm = context.arm.part(setup.joints)
+        self._queue, self._resolve = context.queue, planning.frames.resolve
+        self._busy_joints = frozenset(name for name in context.joints if context.arm.part((name,)) is arm)
         self._joints = setup.joints
         self._parameters = servo
-        self._resolve = planning.frames.resolve
-        self._node = graph.node("servo_node")
+        self._node = context.graph.node("servo_node")
         self._status = StatusPublisher(self._node, servo.status_type)
         self._gate = CommandGate(self._present, setup.timeout_s, arm)
-        listener = ServoListener(self._status.publish, self._gate.interrupt)
-        self._session = ServoSession(arm, setup, planning, listener)
+        self._session = ServoSession(arm, setup, planning, self._status.publish, self._gate.interrupt)
         self._last_stop = 0  # stop epoch of the last stop of steering alone
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""
@@ -269,7 +260,7 @@ class ServoNode:
         self._node.subscribe(topic, type_name, deliver, reject, rule=SWITCHING)
 
     def _take_command(self, kind: CommandType, published: PublishedMessage) -> None:
-        client, now_s = published.publisher, time.monotonic()
+        client, now_s = published.publisher, self._node.clock()
         rejection = self._gate.rejection(client, kind, now_s)
         if rejection and self._gate.owner is not client:
             if rejection != self._logged:

@@ -127,7 +127,7 @@ class World(InProcess):
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(access=AccessSettings.model_validate(settings))
-        self.control = ControlServices(LocalGraph(self.graph), self.access.lease, self.clock, self.clock.call_later)
+        self.control = ControlServices(LocalGraph(self.graph), self.access.lease)
 
     def call(self, client: str, service: str) -> Any:
         self.say(client, op="call_service", service=service, id="asked")

@@ -15,8 +15,8 @@ from robot.hardware.config import IdealConfig
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from server.arm.arms import JoinedBeat, joined_robot, read_arms, without_prefix
 from server.arm.calibrating import LEAST_STATE_RATE_HZ, calibration_file, check_state_rate
+from server.arm.interface import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, states_are_observed
 from server.arm.setup import Description
-from server.arm.topics import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, states_are_observed
 from server.config import ArmSettings, Settings
 from server.errors import ConfigurationError
 from server.graph.permissions import Node

@@ -7,7 +7,7 @@ from harness.clients import ArmClient, values_of
 from harness.server import ServerOnBus
 from protocol.errors import MessageError
 from robot.messages import ChangePace
-from server.arm.services import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, offer_pace
+from server.arm.interface import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, offer_pace
 from server.graph.permissions import Node
 from server.graph.topics import Graph, LocalGraph
 from tests.helpers.fake_arm import FakeArm

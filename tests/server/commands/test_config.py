@@ -20,9 +20,8 @@ from robot.files import FileLock, FileLockedError, replace
 from server import cli
 from server.access.authentication import Tokens
 from server.access.settings import AccessSettings
-from server.commands import certificate
-from server.commands.certificate import ensure_token
-from server.commands.config import server_command, unit
+from server.commands import installation
+from server.commands.installation import ensure_token, server_command, unit
 from server.commands.options import guarded, overrides, read_settings
 from server.commands.terminal import ExitCode
 from server.config import Settings
@@ -281,7 +280,7 @@ def test_of_two_commands_at_a_time_one_makes_the_token(folder, monkeypatch):
         replace(path, content, mode)
 
     folder.mkdir(parents=True)
-    monkeypatch.setattr(certificate, "replace", replace_locked)
+    monkeypatch.setattr(installation, "replace", replace_locked)
     assert [bool(ensure_token(folder)[1]) for _ in range(2)] == [True, False]
 
 

@@ -22,7 +22,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from harness.clients import arm_client
 from harness.server import ROOT, ServerOnBus, free_port
 from harness.waiting import TIMEOUT_S, until, wait_until
-from server import publishing_client
+from server import rosbridge_clients
 from server.cli import main
 from server.datasets import camera
 from server.datasets.camera import (
@@ -37,7 +37,7 @@ from server.datasets.camera import (
     open_source,
     to_jpeg,
 )
-from server.publishing_client import PublishedTopic
+from server.rosbridge_clients import PublishedTopic
 from tests.helpers.held_connection import HeldConnection
 
 
@@ -221,7 +221,7 @@ async def running(client: CameraClient) -> AsyncIterator[None]:
 
 
 async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> None:
-    monkeypatch.setattr(publishing_client, "FIRST_DELAY_S", 0.01)
+    monkeypatch.setattr(rosbridge_clients, "FIRST_DELAY_S", 0.01)
     told: list[str] = []
     connections: list[int] = []
 
@@ -244,8 +244,8 @@ async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> 
 
 
 async def test_it_waits_longer_each_time_for_a_server_that_is_not_there(monkeypatch: Any) -> None:
-    monkeypatch.setattr(publishing_client, "FIRST_DELAY_S", 0.01)
-    monkeypatch.setattr(publishing_client, "LAST_DELAY_S", 0.04)
+    monkeypatch.setattr(rosbridge_clients, "FIRST_DELAY_S", 0.01)
+    monkeypatch.setattr(rosbridge_clients, "LAST_DELAY_S", 0.04)
     told: list[str] = []
     client = client_of(TestPattern(32), told.append, f"ws://127.0.0.1:{free_port()}")
     async with running(client):

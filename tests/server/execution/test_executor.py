@@ -1,4 +1,5 @@
 import asyncio
+import functools
 import gc
 import weakref
 from collections.abc import Callable
@@ -44,7 +45,6 @@ from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm, StubbornArm, settle
 from tests.helpers.motions import STILL, smooth_move
 from tests.helpers.robots import so101
-from tests.helpers.steps import StepOf
 
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 
@@ -54,7 +54,7 @@ STATE = ArmState(5.0, Mode.MOVING, ("a", "b"), position_rad=np.array([0.1, 0.2])
 
 def to(group: str = "arm", **positions_rad: float) -> PlannedMotion:
     """Move some joints of a group as fast as they can."""
-    step = StepOf(lambda start_rad: PlanningProblem(group, start_rad, JointGoal(positions_rad)))
+    step = functools.partial(PlanningProblem, group, goal=JointGoal(positions_rad))
     return PlannedMotion((step,), frozenset(so101().groups[group].joints))
 
 
@@ -93,7 +93,7 @@ class Stage(CurrentScene):
     def executing(self, **parts: Any) -> GoalExecutor:
         """An executor in the time of the stage."""
         current = CurrentState(self.arm, so101())
-        context = ExecutionContext(so101(), cast("Planners", self), self, current, clock=self.clock, **parts)
+        context = ExecutionContext(so101(), cast("Planners", self), self, current, None, self.clock, **parts)
         return GoalExecutor(self.arm.as_arm, context, self.in_progress)
 
     async def ask(self, request: Any, scene: Scene) -> Any:

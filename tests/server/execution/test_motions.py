@@ -18,14 +18,13 @@ from server.execution import motions
 from tests.helpers.motions import smooth_move
 from tests.helpers.moveit import assert_refused, rejection
 from tests.helpers.robots import so101
-from tests.helpers.steps import StepOf
 
 START = {"a": 0.0, "b": 0.5}
 WALL = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "there is a wall", {"pairs": []})
 
 
 def to(position_rad: float) -> motions.MotionStep:
-    return StepOf(lambda start_rad: PlanningProblem("arm", dict(start_rad), JointGoal({"a": position_rad})))
+    return lambda start_rad: PlanningProblem("arm", dict(start_rad), JointGoal({"a": position_rad}))
 
 
 class Planning:
@@ -65,7 +64,7 @@ async def test_a_step_without_a_problem_is_not_planned() -> None:
     def refusing(_start_rad: motions.Positions) -> PlanningProblem:
         raise RefusedError(WALL)
 
-    planned = await motions.plan_sequence([StepOf(refusing)], START, EMPTY_SCENE, planning)
+    planned = await motions.plan_sequence([refusing], START, EMPTY_SCENE, planning)
     assert (planned.failure, planned.problem, planning.starts) == (WALL, None, [])
 
 

@@ -27,7 +27,6 @@ from server.features.context import ServerContext, context_of
 from server.features.moveit import MoveGroup, PlanningScene, slow_to_brake
 from server.graph.permissions import Role
 from server.graph.topics import Graph
-from server.moveit.actions.gripper import GripperLimits
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
 from tests.helpers.fake_arm import FakeArm
@@ -171,7 +170,7 @@ async def test_settings_reach_their_parts() -> None:
     limits, gripper = TimeLimits(3.0, 4.0, 5.0), context.whole.gripper
     assert gripper is not None
     assert context.goals.executors.time_limits == limits
-    assert gripper._limits == GripperLimits(0.3, 0.3, 0.3, limits)
+    assert (gripper._velocity_scaling, gripper._torque_limit, gripper._time_limits) == (0.3, 0.3, limits)
     assert MoveGroup(context)._transforms._period_s == 0.1
     assert PlanningScene(context)._interface._publisher._period_s == 0.5
 

@@ -45,8 +45,9 @@ def timed(factor: float, rate: float = 1.0) -> dict[str, Any]:
 def statuses(
     state: ArmState = STATE, health: ArmHealth | None = HEALTH, health_age_s: float = 0.5, state_age_s: float = 0.5
 ) -> list[dict[str, Any]]:
-    graph, clock = Graph(REGISTRY), FakeClock()
-    diagnostics = ros_topics.Diagnostics(graph, "so101", lambda: None, clock)
+    clock = FakeClock()
+    graph = Graph(REGISTRY, clock)
+    diagnostics = ros_topics.Diagnostics(graph, "so101", lambda: None)
     heard = listen(graph, ros_topics.TOPIC)
     diagnostics.take_state(state)
     clock.advance(state_age_s)
@@ -147,8 +148,9 @@ def test_what_says_nothing_more_is_stale_and_before_the_first_report_there_is_th
 
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
 def test_an_arm_is_as_old_as_a_clock_says_that_is_never_set(jump_s: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    graph, now_s = Graph(REGISTRY), 100.0
-    diagnostics = ros_topics.Diagnostics(graph, "so101", lambda: None, lambda: now_s)
+    now_s = 100.0
+    graph = Graph(REGISTRY, lambda: now_s)
+    diagnostics = ros_topics.Diagnostics(graph, "so101", lambda: None)
     heard = listen(graph, ros_topics.TOPIC)
     diagnostics.take_state(STATE)
     diagnostics.take_health(HEALTH)

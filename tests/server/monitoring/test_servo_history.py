@@ -21,8 +21,8 @@ class World:
 
     def __init__(self) -> None:
         self.now_s = 1000.0
-        self.graph = Graph(REGISTRY)
-        self.history = ServoHistory(self.graph, lambda: self.now_s)
+        self.graph = Graph(REGISTRY, lambda: self.now_s)
+        self.history = ServoHistory(self.graph)
 
     def report(self, joint: str = "gripper", after_s: float = 1.0, **fields: Any) -> None:
         self.now_s += after_s

@@ -47,7 +47,7 @@ async def replay(desk: ActionDesk, **goal: Any) -> ActionGoal:
 
 
 def problems(motion: PlannedMotion) -> list[Any]:
-    return [step.problem(HOME) for step in motion.steps]
+    return [step(HOME) for step in motion.steps]
 
 
 def test_a_replay_goes_to_the_start_of_each_group_and_then_follows_all_joints() -> None:

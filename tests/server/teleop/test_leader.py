@@ -17,7 +17,7 @@ from server import cli
 from server.errors import ServiceError
 from server.graph.permissions import Node
 from server.interfaces import load_registry
-from server.publishing_client import PublishedTopic
+from server.rosbridge_clients import PublishedTopic
 from server.teleop.following import STALE_S
 from server.teleop.leader import JitterBuffer, LeaderPose, LeaderSample, joint_map, mirrored_joints
 from server.teleop.leader_client import IN_FLIGHT, LeaderClient

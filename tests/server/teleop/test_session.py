@@ -14,6 +14,7 @@ from server.execution.executor import GoalExecutors
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
+from server.graph.topics import Graph
 from server.moveit.servo.servo_loop import ServoSetup
 from server.teleop import session as sessions
 from server.teleop.following import FollowingPhase
@@ -21,7 +22,7 @@ from server.teleop.leader import JitterBuffer, LeaderSample, joint_map
 from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
-from tests.helpers.moveit import planning_of
+from tests.helpers.moveit import REGISTRY, planning_of
 
 STEERED = ROBOT.groups["arm"].joints
 PLANNING_S = 0.002
@@ -37,7 +38,7 @@ def context_of(arm: FakeArm, pool: Any, clock: Callable[[], float], **planning: 
 
     # The queue is never started: no ramp is played.
     queue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1)
-    return FollowingContext(planning_of(arm, pool=pool, **planning), queue, go_to, clock)
+    return FollowingContext(planning_of(arm, pool=pool, graph=Graph(REGISTRY, clock), **planning), queue, go_to)
 
 
 def session_of(

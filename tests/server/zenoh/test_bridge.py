@@ -235,7 +235,8 @@ async def test_names_are_looked_at_again_after_changes_and_from_time_to_time(mon
     now_s, refreshes, settings = 0.0, [], ZenohSettings(mode="peer", publish=("/news",))
     async with Site(free_port(), publish=("/news",)) as site:
         network = site.bridge._sharing._network  # type: ignore[union-attr]
-        sharing = Sharing(network, settings, site.bridge._authorizer, lambda: now_s)
+        monkeypatch.setattr(network.graph, "clock", lambda: now_s)
+        sharing = Sharing(network, settings, site.bridge._authorizer)
         monkeypatch.setattr(sharing, "refresh", lambda: refreshes.append(now_s))
 
         def follow() -> int:

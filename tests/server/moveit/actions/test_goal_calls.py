@@ -8,7 +8,6 @@ import pytest
 
 from harness.waiting import until
 from planners.problem import MoveItErrorCode
-from server.execution.confirmation import Confirmation
 from server.execution.goal import Answer, GoalPolicy
 from server.graph.actions import GoalStatus
 from server.graph.permissions import Identity, Node, Role
@@ -28,9 +27,8 @@ class Desk(ActionDesk):
 
     def __init__(self) -> None:
         super().__init__()
-        self.confirmation = Confirmation(self.graph, enabled=False, timeout_s=60.0)
         self.responses: list[Response] = []
-        GoalCalls(LocalGraph(self.graph), self.queue, translator(self.arm), self.confirmation, self.context)
+        GoalCalls(LocalGraph(self.graph), self.queue, translator(planning=self.context))
 
     async def ask(self, timeout_s: float | None = None, **request: Any) -> None:
         """Call, and let everything that it sets going come to rest."""
@@ -88,7 +86,7 @@ async def test_a_proposal_preempts_no_motion_whatever_the_policy(desk: Desk) -> 
 
 @pytest.mark.parametrize("confirm", [True, False])
 async def test_a_goal_of_others_is_confirmed_in_that_mode_alone_and_no_plan_is(desk: Desk, *, confirm: bool) -> None:
-    desk.confirmation.enabled = confirm
+    desk.context.confirmation.enabled = confirm
     await desk.ask(named="ready")
     (motion,) = desk.asked
     assert (motion.confirm, motion.proposed) == (confirm, False)
@@ -158,7 +156,7 @@ async def test_a_wrong_request_moves_nothing(desk: Desk, request_: dict[str, Any
 )
 async def test_a_goal_chooses_its_planning_time(desk: Desk, fields: Any, time_s: float, allowed_s: float) -> None:
     await desk.ask(named="ready", **fields)
-    problem = desk.asked[0].steps[0].problem(HOME)
+    problem = desk.asked[0].steps[0](HOME)
     assert (problem.optimization_time_s, problem.allowed_time_s) == (time_s, allowed_s)
 
 

@@ -1,6 +1,7 @@
 import asyncio
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from robot.messages import Mode, MotionEnded, MotionProgress, Outcome
 from robot.trajectory import Trajectory
 from server.errors import RefusedError
 from server.execution.goal import BRAKING_TIMEOUT_S, TimeLimits
+from server.execution.motions import MotionsInProgress
 from server.graph.actions import Result
 from server.graph.permissions import Node
 from server.graph.topics import Graph, LocalGraph
@@ -24,19 +26,19 @@ from server.moveit.actions.gripper import (
     Gripper,
     GripperCommand,
     GripperCommandMessages,
-    GripperLimits,
     GripperReading,
     ParallelGripperCommandMessages,
     fingers_together,
     offer_gripper,
 )
 from tests.helpers.fake_arm import StubbornArm, settle
-from tests.helpers.moveit import REGISTRY
+from tests.helpers.moveit import REGISTRY, goal_context
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, nominal_calibration, so101
 
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6
 SIMPLE, PARALLEL = "control_msgs/action/GripperCommand", "control_msgs/action/ParallelGripperCommand"
-JOINT = within_calibration(so101(), nominal_calibration()).joints["gripper"]
+CALIBRATED = within_calibration(so101(), nominal_calibration())
+JOINT = CALIBRATED.joints["gripper"]
 
 
 class SlowArm(StubbornArm):
@@ -76,9 +78,11 @@ class Grippers:
     def __init__(self, limits: TimeLimits | None = None, arm: SlowArm | None = None) -> None:
         self.arm, self.graph = arm or SlowArm(), Graph(REGISTRY)
         self.arm.state = replace(self.arm.state, load=np.zeros(len(self.arm.state.joint_names)))
-        limits_of_gripper = GripperLimits(1.0, 1.0, 0.5, limits or TimeLimits())
+        full_speed = {"max_velocity_scaling": 1.0, "max_acceleration_scaling": 1.0}
         clock = asyncio.get_running_loop().time
-        self.gripper = Gripper(self.arm.as_arm, [JOINT], limits_of_gripper, clock=clock)
+        planning: Any = SimpleNamespace(time_limits=limits or TimeLimits(), clock=clock, robot=CALIBRATED)
+        context = goal_context(self.graph, self.arm, planning, None, **full_speed)
+        self.gripper = Gripper(context, [JOINT.name], 0.5, MotionsInProgress())
         offer_gripper(LocalGraph(self.graph), self.gripper)
         self.results: list[Result] = []
         self.feedback: list[dict[str, Any]] = []

@@ -13,15 +13,13 @@ import pytest
 from planners.problem import MoveItErrorCode
 from robot.messages import ArmState, Outcome
 from server.errors import GraphError, RefusedError
-from server.execution.goal import Answer, GoalState, Progress, TimeLimits
+from server.execution.goal import Answer, GoalState, Progress
 from server.execution.motions import ExternalTrajectory, Performed
 from server.graph.actions import GoalStatus
-from server.graph.topics import LocalGraph
 from server.moveit.actions.joint_trajectory_controller import (
     INDUSTRIAL_ACTION,
     FollowCode,
     JointTrajectoryController,
-    TrajectoryContext,
     check_trajectory,
     follow_code,
     read_segment_tolerances,
@@ -30,7 +28,7 @@ from server.moveit.trajectories import external_trajectory
 from tests.helpers.fake_arm import HOME, JOINTS, FakeArm, settle
 from tests.helpers.messages import time_message
 from tests.helpers.motions import smooth_move
-from tests.helpers.moveit import ROBOT, ActionDesk, message, outcome
+from tests.helpers.moveit import ROBOT, ActionDesk, goal_context, message, outcome
 
 ACTION = "/arm_controller/follow_joint_trajectory"
 TOPIC = "/arm_controller/joint_trajectory"
@@ -41,14 +39,8 @@ MOVING = Progress(GoalState.EXECUTING, "", 0.5, 1.0)
 class Desk(ActionDesk):
     def __init__(self) -> None:
         super().__init__()
-        self.controller = JointTrajectoryController(
-            LocalGraph(self.graph),
-            ROBOT.groups["arm"],
-            self.arm.as_arm,
-            TrajectoryContext(self.context, self.queue, TimeLimits()),
-            "arm",
-            industrial=True,
-        )
+        context = goal_context(self.graph, self.arm, self.context, self.queue)
+        self.controller = JointTrajectoryController(context, ROBOT.groups["arm"], "arm", industrial=True)
 
     async def publish(self, **trajectory: Any) -> None:
         self.graph.publish(self.client, TOPIC, trajectory)

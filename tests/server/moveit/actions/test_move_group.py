@@ -8,11 +8,10 @@ import pytest
 
 from harness.waiting import until
 from planners.problem import MoveItErrorCode
-from server.execution.goal import Answer, GoalRequest, GoalState, Progress, TimeLimits
+from server.execution.goal import Answer, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.actions import GoalStatus
 from server.moveit.actions import move_group
-from server.moveit.actions.joint_trajectory_controller import TrajectoryContext
 from server.moveit.requests.planning_problems import PILZ
 from server.moveit.trajectories import POINTS_AT_ONCE
 from tests.helpers.fake_arm import HOME, settle
@@ -35,7 +34,7 @@ from tests.helpers.moveit import (
 async def desk() -> AsyncIterator[ActionDesk]:
     made = ActionDesk()
     move_group.offer_planning_actions(made.graph, made.context, made.queue)
-    move_group.offer_execute_trajectory(made.graph, TrajectoryContext(made.context, made.queue, TimeLimits()))
+    move_group.offer_execute_trajectory(made.graph, made.context, made.queue)
     yield made
     await made.close()
 
@@ -190,7 +189,7 @@ async def test_a_motion_starts_where_its_turn_comes_and_a_plan_alone_where_the_r
     asked_for = asked({**to(0.3), "start_state": start}, planning_scene_diff=changes)
     motion: Any = move_group.planned_motion(asked_for, rig.context)
     later_rad = {**HOME, "elbow_flex": 0.2}
-    assert motion.steps[0].problem(later_rad).start_rad == later_rad
+    assert motion.steps[0](later_rad).start_rad == later_rad
     assert any("start_state is ignored" in warning for warning in motion.warnings)
     assert [one.name for one in motion.scene(HOME).objects] == ["box"]
     assert rig.scene_state.scene.objects == ()

@@ -10,7 +10,7 @@ from planners.scene import EMPTY_SCENE, Box, Pose, Scene, SceneObject
 from server.moveit.goals import goal_checks
 from server.moveit.messages import composed, pose_of
 from tests.helpers.fake_arm import HOME, FakeArm
-from tests.helpers.moveit import FORWARD, TIP, TRANSLATOR, ServiceRig, planning_of, point
+from tests.helpers.moveit import FORWARD, TIP, ServiceRig, planning_of, point, translator
 
 LATE = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late")
 TURNED = {**HOME, "shoulder_pan": 0.5}
@@ -24,7 +24,7 @@ def goal_at(x: float, y: float, z: float, frame: str = "") -> dict[str, Any]:
 async def test_goals_are_answered_in_their_order(rig: ServiceRig, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(goal_checks, "GOAL_TIME_S", 10.0)
     monkeypatch.setattr(goal_checks, "WAITING_S", math.inf)
-    goal_checks.offer_goal_checks(rig.graph, TRANSLATOR, rig.context)
+    goal_checks.offer_goal_checks(rig.graph, translator(planning=rig.context))
     wall = SceneObject("wall", ((Box((0.6, 0.1, 0.6)), Pose()),), Pose((0.3, 0.3, 0.3)))
     rig.scene_state.scene = Scene(version=77, objects=(wall,))
     answer = await rig.call(
@@ -40,7 +40,7 @@ async def test_goals_are_answered_in_their_order(rig: ServiceRig, monkeypatch: p
 
 
 async def test_too_many_goals_and_an_unknown_position_of_the_arm_are_refused(rig: ServiceRig) -> None:
-    goal_checks.offer_goal_checks(rig.graph, TRANSLATOR, rig.context)
+    goal_checks.offer_goal_checks(rig.graph, translator(planning=rig.context))
     many = await rig.outcome(goal_checks.SERVICE, poses=[goal_at(0.3, 0.0, 0.2)] * goal_checks.MAX_GOALS, joints=[{}])
     rig.arm.lose_positions()
     lost = await rig.outcome(goal_checks.SERVICE, poses=[goal_at(0.3, 0.0, 0.2)])

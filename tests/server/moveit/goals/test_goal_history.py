@@ -17,7 +17,6 @@ from server.graph.permissions import Node
 from server.moveit.goals.goal_history import GoalHistory
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ServiceRig
-from tests.helpers.steps import StepOf
 
 HISTORY, RECORD = "/armbridge/goal_history", "/armbridge/goal_record"
 NAMED = {"data": "ready"}
@@ -45,7 +44,7 @@ def records() -> Records:
 
 def goal(goal_id: str, *steps: float, only_for: Node | None = None) -> Goal:
     """A goal that moves the base joint to one position after the other [rad]."""
-    made = [StepOf(lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to}))) for to in steps]
+    made = [(lambda start, to=to: PlanningProblem("arm", start, JointGoal({"shoulder_pan": to}))) for to in steps]
     request = PlannedMotion(tuple(made), frozenset({"shoulder_pan"})) if steps else None
     return Goal(goal_id, GoalRequest("/moveit_goal_named", request, NAMED, only_for=only_for))
 

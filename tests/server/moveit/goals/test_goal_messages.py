@@ -24,7 +24,7 @@ def pose_stamped(frame: str, orientation: dict[str, float] | None = None, **posi
 
 def goal(motion: PlannedMotion, start_rad: Mapping[str, float] = HOME) -> Any:
     """Return the goal of the problem that is planned when its turn comes."""
-    problem: Any = motion.steps[0].problem(start_rad)
+    problem: Any = motion.steps[0](start_rad)
     return problem.goal
 
 
@@ -114,10 +114,10 @@ def test_a_goal_is_of_the_group_that_its_joints_name_or_of_the_selected_one(lift
         (["a1", "left_finger_joint"], "arm"),
     ):
         motion = lifted.joints(message("sensor_msgs/JointState", name=names, position=[0.01] * len(names)))
-        assert motion.steps[0].problem(LIFTED_HOME).group == group, names
+        assert motion.steps[0](LIFTED_HOME).group == group, names
     for group, named in (("arm", "bent"), ("arm_with_torso", "raised")):
         lifted.select_group(group)
         for motion in (lifted.named({"data": named}), lifted.pose(pose_stamped("base", TURNED, x=0.4, z=0.9))):
-            assert motion.steps[0].problem(LIFTED_HOME).group == group
+            assert motion.steps[0](LIFTED_HOME).group == group
     lifted.select_group("arm")
     assert_refused(rejection(lifted.named, {"data": "raised"}), INVALID, "there is no named target 'raised'")

@@ -7,7 +7,6 @@ import pytest
 
 from harness.clients import values_of
 from protocol.errors import MessageError
-from server.execution import confirmation
 from server.execution.goal import Answer, Goal, GoalState, Progress
 from server.graph.permissions import Node
 from server.graph.topics import Subscriber
@@ -28,9 +27,8 @@ class Desk(ActionDesk):
     def __init__(self) -> None:
         super().__init__()
         node = self.graph.node("moveit")
-        self.confirmation = confirmation.Confirmation(self.graph, enabled=False, timeout_s=60.0)
         self.queue.listeners.append(goal_topics.GoalStatusTopics(node, ROBOT))
-        goal_topics.GoalTopics(node, self.queue, translator(), self.confirmation)
+        goal_topics.GoalTopics(node, self.queue, translator(planning=self.context))
         self.heard = {
             topic: listen(self.graph, topic) for topic in (goal_topics.RESULT_TOPIC, goal_topics.STATUS_TOPIC)
         }
@@ -117,7 +115,7 @@ async def test_a_suggested_goal_is_in_the_final_status_and_named_in_the_result(d
 
 @pytest.mark.parametrize("wanted", [True, False])
 async def test_goals_wait_for_confirmation_while_that_is_wanted(desk: Desk, *, wanted: bool) -> None:
-    desk.confirmation.enabled = wanted
+    desk.context.confirmation.enabled = wanted
     await desk.publish("/moveit_goal_named", {"data": "home"})
     assert [motion.confirm for motion in desk.asked] == [wanted]
 

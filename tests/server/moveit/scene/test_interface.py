@@ -192,8 +192,8 @@ class Watched:
 
     def __init__(self):
         self.clock, self.state = FakeClock(), scene_state(box("table"))
-        graph, later = Graph(REGISTRY, self.clock, call_later=self.clock.call_later), self.clock.call_later
-        self.monitored = interface.MonitoredScenePublisher(graph, self.state, current_state(), 2.0, self.clock, later)
+        graph = Graph(REGISTRY, self.clock, call_later=self.clock.call_later)
+        self.monitored = interface.MonitoredScenePublisher(graph, self.state, current_state(), 2.0)
         self.heard = listen(graph, interface.MONITORED_TOPIC)
 
     def add(self, name, **fields):

@@ -133,7 +133,7 @@ class World(InProcess):
 
     def __init__(self) -> None:
         super().__init__()
-        self.republisher = description.TransformRepublisher(self.graph, Frames(ROBOT, SceneState(ROBOT)), self.clock)
+        self.republisher = description.TransformRepublisher(self.graph, Frames(ROBOT, SceneState(ROBOT)))
 
     def move(self, elbow_rad: float, seconds: float = 1.0) -> None:
         """Have the arm be at an angle after some time."""

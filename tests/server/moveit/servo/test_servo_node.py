@@ -15,14 +15,14 @@ from planners.servo.question import ServoAnswer, ServoQuestion, ServoStatus
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrived_in
 from server.graph.permissions import Node
-from server.graph.topics import Graph, LocalGraph
+from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.servo import servo_node
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import ROBOT, FakeArm, settle
 from tests.helpers.gateway import REGISTRY
 from tests.helpers.graph import answered, listen
-from tests.helpers.moveit import planning_of
+from tests.helpers.moveit import goal_context, planning_of
 
 NORTH = {"twist": {"linear": {"x": 0.5}}}
 TYPES = {
@@ -36,21 +36,15 @@ class Rig:
     """A servo node between two clients and an arm."""
 
     def __init__(self) -> None:
-        self.graph, self.arm = Graph(REGISTRY), FakeArm()
+        self.graph, self.arm = Graph(REGISTRY, asyncio.get_running_loop().time), FakeArm()
         self.busy = ""
         queue: Any = SimpleNamespace(busy=lambda _joints: self.busy, take_over=lambda *_joints_and_hand: None)
         self.asked: list[ServoQuestion] = []
         self.one, self.other = Node("one", remote=True), Node("other", remote=True)
-        self.node = servo_node.ServoNode(
-            LocalGraph(self.graph),
-            # No command gets too old where a busy machine takes its time.
-            MoveItParameters(servo={"incoming_command_timeout": 5.0}),
-            self.arm.as_arm,
-            planning_of(self.arm, pool=self),
-            queue,
-            frozenset(ROBOT.groups["arm"].joints),
-        )
-        self.node._session._clock = asyncio.get_running_loop().time
+        planning = planning_of(self.arm, pool=self, graph=self.graph)
+        # No command gets too old where a busy machine takes its time.
+        context = goal_context(self.graph, self.arm, planning, queue, servo={"incoming_command_timeout": 5.0})
+        self.node = servo_node.ServoNode(context)
         self.heard = listen(self.graph, servo_node.STATUS_TOPIC)
         for client in (self.one, self.other):
             for topic, type_name in TYPES.items():
@@ -148,8 +142,9 @@ def test_humble_gets_its_own_numbers() -> None:
 
 
 def test_a_repeated_rejection_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    graph, clock = Graph(REGISTRY), FakeClock()
-    topic = servo_node.StatusPublisher(graph.node("servo_node"), "moveit_msgs/ServoStatus", clock)
+    clock = FakeClock()
+    graph = Graph(REGISTRY, clock)
+    topic = servo_node.StatusPublisher(graph.node("servo_node"), "moveit_msgs/ServoStatus")
     heard = listen(graph, servo_node.STATUS_TOPIC)
     with caplog.at_level(logging.WARNING, "armbridge.servo"):
         for _ in range(10):

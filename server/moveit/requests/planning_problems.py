@@ -270,6 +270,10 @@ def check_pipeline(pipeline_id: str) -> str:
     return pipeline
 
 
+# With this factor a radian takes days; with far smaller ones a motion has no finite duration.
+MIN_SCALING = 1e-6
+
+
 def _scaling(request: Message, field: str, default: float, context: RequestContext) -> float:
     """Read a scaling factor of the limits: 0 is the configured one, a value above 1 full speed.
 
@@ -277,8 +281,9 @@ def _scaling(request: Message, field: str, default: float, context: RequestConte
     not ask for full speed, and no client means it by a negative one, which is rejected.
     """
     value = float(request[field])
-    if math.isnan(value) or value < 0.0:
-        raise invalid(f"{field} must be from 0 to 1, 0 for the default of {default:g}, not {value:g}", value=value)
+    if not (value == 0.0 or value >= MIN_SCALING):
+        limits = f"must be from {MIN_SCALING:g} to 1, or 0 for the default of {default:g}"
+        raise invalid(f"{field} {limits}, not {value:g}", value=value)
     if value > 1.0:
         context.warnings.append(f"{field} {value:g} is taken as 1, the most there is")
     return min(value, 1.0) or default

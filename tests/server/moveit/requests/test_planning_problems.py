@@ -92,7 +92,7 @@ def test_values_that_mean_nothing_are_refused_by_name(fields, words: str) -> Non
 
 @pytest.mark.parametrize("field", ["max_velocity_scaling_factor", "max_acceleration_scaling_factor"])
 def test_a_senseless_scaling_is_refused_by_field_and_value(field: str) -> None:
-    for value in (-0.1, math.nan):
+    for value in (-0.1, math.nan, 5e-324):
         assert_refused(asked(**{field: value}), INVALID, field, f"not {value:g}")
 
 

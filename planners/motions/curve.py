@@ -202,8 +202,7 @@ def line(start: Vector, goal: Vector, limits: RateLimits) -> Curve:
     ticks = np.array([0, ramp, total - ramp, total])
     on_ramp = 0.5 * TICK_S * ramp * top
     positions = np.array([start, start + on_ramp, goal - on_ramp, goal])
-    rest = np.zeros_like(start)
-    velocities = np.array([rest, top, top, rest])
+    velocities = np.array([np.zeros_like(top), top, top, np.zeros_like(top)])
     knots = [0, 1, 3] if 2 * ramp == total else [0, 1, 2, 3]
     return Curve(ticks[knots], positions[knots], velocities[knots])
 
@@ -225,7 +224,8 @@ def from_moving(start: Vector, velocity: Vector, goal: Vector, limits: RateLimit
     rest = np.zeros_like(start)
     least_s = least_time_s(start, velocity, goal, rest, reduced(limits))
     ticks = whole_ticks(LONGER_TIMES * least_s)
-    ways = Ways(*(np.tile(each, (len(ticks), 1)) for each in (start, velocity, goal, rest)), ticks, limits)
+    p0, v0, p1, v1 = (np.tile(each, (len(ticks), 1)) for each in (start, velocity, goal, rest))
+    ways = Ways(p0, v0, p1, v1, ticks, limits)
     return ways.curve(int(np.argmax(ways.possible))) if ways.possible.any() else None
 
 

@@ -206,10 +206,8 @@ class CollisionModel:
         """Return true if a checked pair touches; the allowed names' pairs are among the ``refined`` ones."""
         if self._broadphase.touches(q, refined | self._unchanged if self._unchanged else refined):
             return True
-        if not refined:
-            return False
-        touching = self._broadphase.touching_among(q, refined - self._unchanged)
-        return any(not self._is_allowed(pair, allowed) for pair in touching)
+        touching = refined and self._broadphase.touching_among(q, refined - self._unchanged)
+        return bool(touching) and any(not self._is_allowed(pair, allowed) for pair in touching)
 
     def near(
         self, q: Vector, margin_m: Sequence[float] | Vector, among: Sequence[int] | None = None

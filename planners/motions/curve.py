@@ -64,15 +64,15 @@ class Curve:
         return int(self.ticks[-1])
 
     @cached_property
-    def _accelerations_rad_s2(self) -> Vector:
-        """Acceleration from each knot to the next, shape (k - 1, n)."""
+    def accelerations_rad_s2(self) -> Vector:
+        """Accelerations from each knot to the next, shape (k - 1, n)."""
         return np.asarray(np.diff(self.velocities_rad_s, axis=0) / (TICK_S * np.diff(self.ticks))[:, np.newaxis])
 
     def at(self, ticks: Ticks | Vector) -> tuple[Vector, Vector, Vector]:
         """Positions, velocities and accelerations, shape (m, n) each, at times from 0 to the end [ticks]."""
         i = np.searchsorted(self.ticks[1:-1], ticks, side="right")
         since_s = (TICK_S * (ticks - self.ticks[i]))[:, np.newaxis]
-        velocity, acceleration = self.velocities_rad_s[i], self._accelerations_rad_s2[i]
+        velocity, acceleration = self.velocities_rad_s[i], self.accelerations_rad_s2[i]
         gained = since_s * acceleration
         return self.positions_rad[i] + since_s * (velocity + 0.5 * gained), velocity + gained, acceleration
 
@@ -156,10 +156,8 @@ def averaged(curve: Curve, window: int, joint_names: tuple[str, ...]) -> Traject
     now, before = (_integrals(curve, each) for each in (ticks, ticks - window))
     positions, velocities, accelerations = ((a - b) / window_s for a, b in zip(now, before, strict=True))
     # The ends without rounding errors.
-    positions[0], velocities[0] = (
-        averaging_start(curve.positions_rad[0], curve.velocities_rad_s[0], -window),
-        curve.velocities_rad_s[0],
-    )
+    velocities[0] = curve.velocities_rad_s[0]
+    positions[0] = averaging_start(curve.positions_rad[0], velocities[0], -window)
     positions[-1], velocities[-1] = curve.positions_rad[-1], curve.velocities_rad_s[-1]
     accelerations[[0, -1]] = 0.0
     return Trajectory(joint_names, seconds(ticks), positions, velocities, accelerations)
@@ -182,8 +180,7 @@ def _area(curve: Curve, ticks: Ticks) -> Vector:
     before = np.concatenate((np.zeros_like(pieces[:1]), np.cumsum(pieces, axis=0)))
     i = np.searchsorted(curve.ticks[1:-1], ticks, side="right")
     since_s = (TICK_S * (ticks - curve.ticks[i]))[:, np.newaxis]
-    acceleration = ((v1 - v0) / span_s)[i]
-    cubic = curve.velocities_rad_s[i] / 2.0 + since_s * acceleration / 6.0
+    cubic = curve.velocities_rad_s[i] / 2.0 + since_s * curve.accelerations_rad_s2[i] / 6.0
     return np.asarray(before[i] + since_s * (curve.positions_rad[i] + since_s * cubic))
 
 
@@ -205,11 +202,9 @@ def line(start: Vector, goal: Vector, limits: RateLimits) -> Curve:
     ticks = np.array([0, ramp, total - ramp, total])
     on_ramp = 0.5 * TICK_S * ramp * top
     positions = np.array([start, start + on_ramp, goal - on_ramp, goal])
-    rest = np.zeros_like(start)
-    velocities = np.array([rest, top, top, rest])
-    if 2 * ramp == total:
-        return Curve(ticks[[0, 1, 3]], positions[[0, 1, 3]], velocities[[0, 1, 3]])
-    return Curve(ticks, positions, velocities)
+    velocities = np.array([np.zeros_like(top), top, top, np.zeros_like(top)])
+    knots = [0, 1, 3] if 2 * ramp == total else [0, 1, 2, 3]
+    return Curve(ticks[knots], positions[knots], velocities[knots])
 
 
 def polyline(points: Vector, limits: RateLimits, wait_ticks: int = 0) -> Curve:
@@ -248,8 +243,7 @@ def _distinct(points: Vector) -> Vector:
     """Leave out points that repeat their predecessor; the first and the last stay exact."""
     kept = [points[0]]
     for point in points[1:-1]:
-        if not same_point(point, kept[-1]):
-            kept.append(point)
+        kept += [] if same_point(point, kept[-1]) else [point]
     while len(kept) > 1 and same_point(kept[-1], points[-1]):
         kept.pop()
     if len(points) > 1 and not same_point(kept[-1], points[-1]):

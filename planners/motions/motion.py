@@ -49,16 +49,14 @@ from planners.motions.path_timing import MAX_DURATION_S, standing
 from planners.problem import VIA_POINT, MoveItErrorCode, PlanningFailure, RateLimits, planner_name
 from robot.trajectory import Trajectory, Vector
 
-# Rounds, and parts in each. One numpy call gives the time that each would save, and takes hardly longer for all rounds.
-# After the rounds without a gain a curve is about as short as it gets.
+# Rounds, after which without a gain a curve is about as short as it gets, and parts in each. One numpy call gives the
+# times that they would save: of all rounds at once in 270 us, of one in 170.
 PARTS = 5, 32
 ROUNDS = np.arange(PARTS[0])[:, np.newaxis]
 TRIES_A_ROUND = 4  # parts of a round that are tried, those first that save most
 SHRINK = 0.7  # parts become shorter by this factor from round to round, and longer again after a gain
 LEAST_GAIN_TICKS = 100  # a part that saves less does not pay for its checks [ticks]
-
-# Shares of a part's time at which it is checked first: of those that touch something few are free there.
-FIRST_LOOKS = np.array([0.5, 0.25, 0.75, 0.125, 0.375, 0.625, 0.875])
+FIRST_LOOKS = np.array([0.5, 0.25, 0.75, 0.125, 0.375, 0.625, 0.875])  # checked first, as shares of a part's time
 
 STRAIGHT_LINE = "straight line"
 SPARSE_STEP_M = 0.2  # sparse check of a straight line before it is timed: most blocked ones are found here [m]
@@ -128,12 +126,9 @@ def find_motion(task: MotionTask, budget: Budget) -> Motion | PlanningFailure:
     Once the budget is used up, the best motion found by then is the answer. There is none where it was used up before,
     where every motion would take too long, or where a moving arm cannot stop before it touches something.
     """
-    refusal = _too_slow(task)
-    if refusal is not None:
-        return refusal
-    motion = _straight(task, budget)
-    if motion is not None:
-        return motion
+    answer = _too_slow(task) or _straight(task, budget)
+    if answer is not None:
+        return answer
     moving = bool(task.start_velocity.any())
     lead = brake(task.curve_start, task.start_velocity, task.limits) if moving else None
     refusal = None if lead is None else _cannot_stop(task, lead)

@@ -149,8 +149,7 @@ def without_detours(space: JointSpace, path: Vector, step_m: float, should_stop:
 
 def _ompl_space(query: Query) -> ob.RealVectorStateSpace:
     size = len(query.start)
-    space = ob.RealVectorStateSpace(size)
-    bounds = ob.RealVectorBounds(size)
+    space, bounds = ob.RealVectorStateSpace(size), ob.RealVectorBounds(size)
     for i, (lower, upper) in enumerate(zip(query.space.lower_rad, query.space.upper_rad, strict=True)):
         bounds.setLow(i, float(lower))
         bounds.setHigh(i, float(upper))

@@ -158,9 +158,8 @@ def toppra_profile(path: NaturalSpline, limits: RateLimits, top_rate: Vector | N
         return None
     scaled = _ScaledPath(path, length, limits.acceleration_rad_s2 * unit_s**2)
     scaled_velocity = limits.velocity_rad_s * unit_s / scaled.joint_units_rad
-    scaled_top = np.full(len(scaled.grid), FASTEST_RATE)
-    if top_rate is not None:
-        scaled_top = np.minimum(scaled_top, top_rate * unit_s / length)
+    top = FASTEST_RATE if top_rate is None else top_rate * unit_s / length
+    scaled_top = np.minimum(np.full(len(scaled.grid), FASTEST_RATE), top)
     rate = _fastest(scaled, scaled_velocity, scaled_top)
     # The motion may stop in a point, but has to get away from it.
     if not np.all(rate[:-1] + rate[1:] > 2.0 * STANDING_RATE * min(1.0, scaled_top.min())):

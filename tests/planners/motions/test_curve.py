@@ -145,7 +145,10 @@ def test_ramps_join_two_states_within_the_limits(p0, v0, p1, v1):
     assume(way.possible.all())
     curve = way.curve(0)
     velocities, steps_s = curve.velocities_rad_s, TICK_S * np.diff(curve.ticks)[:, None]
-    np.testing.assert_allclose(way.halfway(), curve.at(np.array([0.5 * curve.duration_ticks]))[0], atol=1e-9)
+    shares = np.array([0.5, 0.25, 0.875])
+    np.testing.assert_allclose(
+        way.places(np.zeros(1, int), shares)[0], curve.at(shares * curve.duration_ticks)[0], atol=1e-9
+    )
     np.testing.assert_array_equal(curve.positions_rad[[0, -1]], [p0, p1])
     np.testing.assert_array_equal(velocities[[0, -1]], [v0, v1])
     assert np.all(np.abs(np.diff(velocities, axis=0)) <= steps_s * ABC_LIMITS.acceleration_rad_s2 * (1.0 + 1e-6))

@@ -86,6 +86,9 @@ def test_detours_that_a_free_line_passes_by_are_left_out_and_lines_and_curves_bl
     np.testing.assert_array_equal(without_detours(joint_space, DETOUR, STEP_M, lambda: True), DETOUR)
     assert curve_free(joint_space, line(HOME, READY, LIMITS), STEP_M)
     assert not curve_free(joint_space, line(HOME, READY, LIMITS), STEP_M, lambda: True)
+    begun = joint_space.checks
+    assert not curve_free(joint_space, line(HOME, READY, LIMITS), STEP_M, after(joint_space, 20)), "stopped on the way"
+    assert joint_space.checks <= begun + 20 + paths.CHECKS_A_POLL
     assert paths.line_free_sparsely(joint_space, HOME, READY, STEP_M)
     for start, goal in BLOCKED:
         assert not curve_free(joint_space, line(start, goal, LIMITS), STEP_M)

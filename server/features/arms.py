@@ -26,7 +26,7 @@ from server.moveit.servo.servo_node import servo_setup
 from server.teaching.replay import offer_replay
 from server.teaching.services import Teaching
 from server.teaching.taught_motion import MotionFiles
-from server.teleop.session import Follower, FollowingContext
+from server.teleop.session import Follower
 from server.teleop.teleoperation import Teleoperation
 
 
@@ -174,21 +174,16 @@ ONLY_ARM = "arm"
 
 def teleoperation_of(context: ServerContext) -> Teleoperation:
     """Return teleoperation, in which each arm that does not lead can follow."""
+    robot, go_to = context.planning.robot, context.whole.go_to
     followers = [
         Follower(
-            each.name or ONLY_ARM,
-            each.served.prefix,
-            each.robot,
-            arm,
-            servo_setup(context.planning.robot, each.parameters),
-            each.gripper,
+            each.name or ONLY_ARM, each.served.prefix, each, servo_setup(robot, each.parameters), each.gripper, go_to
         )
-        for each, arm in context.single_arms
+        for each, _ in context.single_arms
         if not each.served.leads
     ]
     leaders = [each.name for each, _ in context.single_arms if each.served.leads]
-    following = FollowingContext(context.planning, context.goals.queue, context.whole.go_to)
-    return Teleoperation(context.graph, following, followers, leaders)
+    return Teleoperation(context.graph, followers, leaders)
 
 
 TOPIC = "/clock"

@@ -8,16 +8,13 @@ from dataclasses import dataclass, replace
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.servo.question import JointVelocities, ServoAnswer, ServoQuestion, ServoStatus
-from robot.arm_group import AnyArm
-from robot.description.model import RobotModel
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError
 from server.execution.goal import Answer, Goal, GoTo
 from server.execution.monitors import check_ready
-from server.execution.queue import GoalQueue
 from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
-from server.moveit.requests.planning_context import PlanningContext
+from server.moveit.requests.planning_context import GoalContext
 from server.moveit.servo.servo_loop import LATE, ServoSession, ServoSetup
 from server.teleop.following import STALE_S, FollowerAct, Following, FollowingPhase, TrackingLimits, tracking_velocity
 from server.teleop.gripper_following import GripperFollowing
@@ -47,21 +44,17 @@ class Follower:
 
     name: str
     prefix: str
-    robot: RobotModel
-    arm: AnyArm
+    context: GoalContext
     setup: ServoSetup
     gripper: Gripper | None
-
-    @property
-    def joints(self) -> frozenset[str]:
-        return frozenset(joint.name for joint in self.robot.movable_joints)
+    go_to: GoTo
 
     @property
     def limits(self) -> dict[str, TrackingLimits]:
         """Limits of the joints that are steered, and of the gripper's."""
         scaling = self.setup.limits.velocity_scaling
         fingers = () if self.gripper is None else self.gripper.joints
-        joints = [*(self.robot.joints[name] for name in self.setup.joints), *fingers]
+        joints = [*(self.context.robot.joints[name] for name in self.setup.joints), *fingers]
         return {joint.name: TrackingLimits(scaling * joint.max_velocity, joint.max_acceleration) for joint in joints}
 
 
@@ -78,15 +71,6 @@ class FollowingState:
     speed_scale: float  # share of the wanted speed that limits and obstacles leave, 0 to 1
 
 
-@dataclass(frozen=True)
-class FollowingContext:
-    """Context of all followings."""
-
-    planning: PlanningContext
-    queue: GoalQueue
-    go_to: GoTo
-
-
 class FollowingSession:
     """Following of one follower, until it ends; shows its state, and its targets at every tick [rad]."""
 
@@ -95,17 +79,16 @@ class FollowingSession:
         follower: Follower,
         joints: FollowingJoints,
         samples: JitterBuffer,
-        context: FollowingContext,
         show: Callable[[FollowingState], None],
         show_targets: Callable[[Mapping[str, float]], None],
     ) -> None:
-        planning = context.planning
+        context, planning = follower.context, follower.context.planning
         self.following = Following()
         self._follower, self._joints, self._samples = follower, joints, samples
-        self._queue, self._go_to, self._ask = context.queue, context.go_to, planning.ask
+        self._queue, self._go_to, self._ask = context.queue, follower.go_to, planning.ask
         self._show, self._show_targets, self._clock = show, show_targets, planning.clock
         self._servo = ServoSession(
-            follower.arm,
+            context.arm,
             replace(follower.setup, period_s=PERIOD_S, at_once=True),
             planning,
             self._take_status,
@@ -192,13 +175,13 @@ class FollowingSession:
     def _obstacle(self, now_s: float, pose: LeaderPose | None) -> str:
         """Return the reason for which the follower cannot go on; empty if there is none."""
         follower = self._follower
-        if is_stopped(follower.arm.last_stop, self._epoch):
+        if is_stopped(follower.context.arm.last_stop, self._epoch):
             return "the arm was stopped"
         try:
-            check_ready(follower.arm)
+            check_ready(follower.context.arm)
         except RefusedError as error:
             return str(error)
-        if self.following.phase is FollowingPhase.FOLLOWING and (busy := self._queue.busy(follower.joints)):
+        if self.following.phase is FollowingPhase.FOLLOWING and (busy := self._queue.busy(follower.context.joints)):
             return f"the arm is in use: {busy}"
         if self._ramp is not None and self._ramp.remaining_s is not None:
             self._ramp_moved_s = now_s

@@ -21,7 +21,7 @@ from server.lifecycle import Feature
 from server.moveit.messages import Message
 from server.teleop.following import STALE_S, FollowingPhase
 from server.teleop.leader import MAX_DELAY_S, JitterBuffer, LeaderSample, joint_map
-from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
+from server.teleop.session import Follower, FollowingSession, FollowingState
 
 log = logging.getLogger("armbridge.teleop")
 
@@ -127,10 +127,8 @@ class Teleoperation(Feature):
     name = "teleoperation"
     deadline_s = 0.5
 
-    def __init__(
-        self, graph: Graph, context: FollowingContext, followers: Iterable[Follower], leaders: Iterable[str]
-    ) -> None:
-        self._graph, self._context, self._queue, self._clock = graph, context, context.queue, graph.clock
+    def __init__(self, graph: Graph, followers: Iterable[Follower], leaders: Iterable[str]) -> None:
+        self._graph, self._clock = graph, graph.clock
         # Its own node, and below the name of each of several followers one.
         self._node = graph.node("teleop")
         self._followers = {follower.name: follower for follower in followers}
@@ -152,7 +150,7 @@ class Teleoperation(Feature):
                 does = "is starting to follow" if other.session is None else f"follows {other.leader.name}"
                 raise ServiceError(f"{follower.name} {does}: call {STOP} first")
             try:
-                check_ready(follower.arm)
+                check_ready(follower.context.arm)
             except RefusedError as error:
                 raise ServiceError(f"{follower.name} cannot follow: {error}") from error
             following = _Following(self._leader(follower, request["leader"]), Node(f"teleop of {follower.name}"))
@@ -214,7 +212,7 @@ class Teleoperation(Feature):
         below = ["", *(f"/{each.name}" for each in self._followers.values() if each.prefix)]
         if name in {TARGETS_TOPIC, *(f"{each}/joint_states" for each in below)}:
             raise ServiceError(f"leader: must not be {name}, which has the positions of this server's arms")
-        joints = follower.robot.movable_joints
+        joints = follower.context.robot.movable_joints
         return Leader(
             name, {joint.name.removeprefix(follower.prefix): joint.max_velocity for joint in joints}, self._clock
         )
@@ -222,7 +220,7 @@ class Teleoperation(Feature):
     async def _begin(self, request: Message, follower: Follower, following: _Following) -> str:
         self._check_not_stopped(follower)
         leader = following.leader
-        self._queue.take_over(follower.joints, f"the leader {leader.name[:80]}")
+        follower.context.queue.take_over(follower.context.joints, f"the leader {leader.name[:80]}")
         # The way to the leader of a following that has just ended may brake.
         await self._wait(follower, BRAKING_S, lambda: self._in_use(follower))
         if leader.is_topic:
@@ -234,7 +232,7 @@ class Teleoperation(Feature):
         silence = f"leader: {leader.name} has sent nothing for {FIRST_SAMPLE_S:g} s"
         await self._wait(follower, FIRST_SAMPLE_S, lambda: "" if leader.joint_names else silence)
         joints = joint_map(
-            follower.robot,
+            follower.context.robot,
             follower.prefix,
             leader.joint_names,
             leader.prefix,
@@ -246,7 +244,6 @@ class Teleoperation(Feature):
             follower,
             joints,
             leader.samples,
-            self._context,
             functools.partial(self._show, follower, following),
             functools.partial(self._show_targets, following),
         )
@@ -257,11 +254,11 @@ class Teleoperation(Feature):
 
     def _check_not_stopped(self, follower: Follower) -> None:
         """Refuse a start that a stop of the arm, or of its following, has overtaken."""
-        if is_stopped(max(follower.arm.last_stop, self._last_stops.get(follower.name, 0))):
+        if is_stopped(max(follower.context.arm.last_stop, self._last_stops.get(follower.name, 0))):
             raise ServiceError(f"{follower.name} does not follow: a stop came after {START} was called")
 
     def _in_use(self, follower: Follower) -> str:
-        busy = self._queue.busy(follower.joints)
+        busy = follower.context.queue.busy(follower.context.joints)
         return f"{follower.name} cannot follow: it is in use: {busy}" if busy else ""
 
     async def _wait(self, follower: Follower, limit_s: float, obstacle: Callable[[], str]) -> None:

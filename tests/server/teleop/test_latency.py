@@ -32,12 +32,13 @@ from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
 from robot.messages import MotionEnded, Setpoint, Stream
 from server.execution.monitors import CurrentState
+from server.graph.topics import Graph
 from server.teleop.leader import JitterBuffer, LeaderSample
 from server.teleop.session import FollowingState
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
-from tests.helpers.moveit import planner
+from tests.helpers.moveit import REGISTRY, planner, planning_of
 from tests.helpers.resources import shared_data
-from tests.server.teleop.test_session import context_of, session_of
+from tests.server.teleop.test_session import session_of
 
 pytestmark = pytest.mark.stepped_time
 
@@ -115,10 +116,10 @@ class Trial:
         self.told: list[FollowingState] = []
         self.arms = [TickingArm(name and f"{name}_") for name in names]
         self.samples = [JitterBuffer({}, 0.0) for _ in names]
-        context = context_of(self.arms[0], self, self.clock, robot=robot)
-        context = replace(context, planning=replace(context.planning, current=cast("CurrentState", self)))
+        planning = planning_of(self.arms[0], robot, pool=self, graph=Graph(REGISTRY, self.clock))
+        planning = replace(planning, current=cast("CurrentState", self))
         self.sessions = [
-            session_of(context, arm, samples, self.told, name)
+            session_of(planning, arm, samples, self.told, name)
             for name, arm, samples in zip(names, self.arms, self.samples, strict=True)
         ]
 

@@ -2,7 +2,8 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
-from typing import Any, cast
+from dataclasses import replace
+from typing import cast
 
 import pytest
 
@@ -15,42 +16,41 @@ from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, GoalSta
 from server.execution.motions import Positions
 from server.execution.queue import GoalQueue
 from server.graph.topics import Graph
+from server.moveit.requests.planning_context import PlanningContext
 from server.moveit.servo.servo_loop import ServoSetup
 from server.teleop import session as sessions
 from server.teleop.following import FollowingPhase
 from server.teleop.leader import JitterBuffer, LeaderSample, joint_map
-from server.teleop.session import Follower, FollowingContext, FollowingSession, FollowingState
+from server.teleop.session import Follower, FollowingSession, FollowingState
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import JOINTS, ROBOT, FakeArm
-from tests.helpers.moveit import REGISTRY, planning_of
+from tests.helpers.moveit import REGISTRY, goal_context, planning_of
 
 STEERED = ROBOT.groups["arm"].joints
 PLANNING_S = 0.002
 
 
-def context_of(arm: FakeArm, pool: Any, clock: Callable[[], float], **planning: Any) -> FollowingContext:
-    """Return the context of followings whose ramps arrive at once."""
-
-    def go_to(_positions: Positions, _scaling: float) -> Goal:
-        goal = Goal("1", GoalRequest("/goal"))
-        goal.answered.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
-        return goal
-
-    # The queue is never started: no ramp is played.
-    queue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1)
-    return FollowingContext(planning_of(arm, pool=pool, graph=Graph(REGISTRY, clock), **planning), queue, go_to)
+def go_to(_positions: Positions, _scaling: float) -> Goal:
+    """Arrive at once."""
+    goal = Goal("1", GoalRequest("/goal"))
+    goal.answered.set_result(Answer(MoveItErrorCode.SUCCESS, ""))
+    return goal
 
 
 def session_of(
-    context: FollowingContext, arm: FakeArm, samples: JitterBuffer, told: list[FollowingState], name: str = ""
+    planning: PlanningContext, arm: FakeArm, samples: JitterBuffer, told: list[FollowingState], name: str = ""
 ) -> FollowingSession:
-    """Return a following by the arm, or by the arm with this name of several."""
-    prefix, robot = name and f"{name}_", context.planning.robot
+    """Return a following by the arm, or by the arm with this name of several, whose ramps arrive at once."""
+    prefix, robot = name and f"{name}_", planning.robot
     group = robot.groups[f"{prefix}arm"]
     setup = ServoSetup(group.name, group.joints, f"{prefix}gripper_frame_link", ServoLimits(), 0.02, 1000.0)
-    follower = Follower(name, prefix, prefixed(ROBOT, name) if name else ROBOT, arm.as_arm, setup, None)
-    joints = joint_map(robot, prefix, JOINTS)
-    return FollowingSession(follower, joints, samples, context, told.append, lambda _targets: None)
+    # The queue is never started: no ramp is played.
+    queue = GoalQueue(cast("GoalExecutors", None), GoalPolicy.QUEUE, 1)
+    context = goal_context(Graph(REGISTRY), arm, planning, queue)
+    if name:
+        context = replace(context, robot=prefixed(ROBOT, name))
+    follower = Follower(name, prefix, context, setup, None, go_to)
+    return FollowingSession(follower, joint_map(robot, prefix, JOINTS), samples, told.append, lambda _targets: None)
 
 
 class Rig:
@@ -62,7 +62,8 @@ class Rig:
         self.questions: list[ServoQuestion] = []
         self.told: list[FollowingState] = []
         self.arm = FakeArm()
-        self.session = session_of(context_of(self.arm, self, self.clock), self.arm, self.samples, self.told)
+        planning = planning_of(self.arm, pool=self, graph=Graph(REGISTRY, self.clock))
+        self.session = session_of(planning, self.arm, self.samples, self.told)
 
     def read(self, elbow_rad: float, late_s: float = 0.0) -> None:
         """Have the leader read and its sample come."""

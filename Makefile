@@ -115,8 +115,9 @@ pictures: install-dev page
 	mkdir -p docs/pictures && cp build/page/pictures/*.png build/page/pictures/film.webp build/page/pictures/page.sha256 docs/pictures/
 
 # The examples, our clients, and the clients of others as they are published, each in an environment of its own: a minute of installing.
+# The examples come first: those with physics take a minute and a half in one file, which else one worker begins near the end.
 test-clients: install-dev page docs client-environments
-	$(PYTEST) tests/clients tests/examples -n 3 --dist loadfile $(ARGS)
+	$(PYTEST) tests/examples tests/clients -n 3 --dist loadfile --no-loadscope-reorder $(ARGS)
 
 client-environments: build/compas_fab/.installed build/ros_mcp/.installed build/mcp/.installed build/ros2/.tried
 

@@ -25,6 +25,9 @@ from harness.waiting import TIMEOUT_S
 BUILT = ROOT / "server" / "page" / "dist" / "index.html"
 SHOTS = ROOT / "build" / "page"
 
+# The one without windows comes first: a context takes 0.14 s of processor time in place of 0.47 s, a test a fifth less.
+BROWSERS = ("chromium-headless-shell", "chromium")
+
 # As on a machine without a graphics card: the processor alone composes the page and draws WebGL. Nothing calls home.
 FLAGS = (
     "--no-sandbox",
@@ -93,9 +96,13 @@ def page_digest() -> str:
     return digest.hexdigest()
 
 
+def _browser() -> str | None:
+    return next(filter(None, map(shutil.which, BROWSERS)), None)
+
+
 def browser_is_missing() -> str:
     """Return the reason for having no browser here; empty when one can be started."""
-    return "" if shutil.which("chromium") else "chromium is not installed (apt-get install chromium)"
+    return "" if _browser() else f"no browser is installed (apt-get install {BROWSERS[0]})"
 
 
 def what_is_missing() -> str:
@@ -125,7 +132,7 @@ def _modest(folder: Path) -> str:
     Software rendering otherwise keeps the server and the arm's loop from the cores. At the idle priority (SCHED_IDLE) a
     browser beside a load of 25 read nothing for seconds, and left a server that had answered.
     """
-    found = shutil.which("chromium")
+    found = _browser()
     assert found is not None
     words = ["nice", "-n", "10", found]
     if os.geteuid() == 0 and shutil.which("setpriv"):

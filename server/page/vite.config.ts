@@ -38,5 +38,6 @@ export default defineConfig({
       },
     },
   },
-  test: { include: ["src/**/*.test.ts"], environment: "node" },
+  // Modules are loaded once for all files of tests: a third of the processor time.
+  test: { include: ["src/**/*.test.ts"], environment: "node", isolate: false },
 });

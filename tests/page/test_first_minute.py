@@ -3,16 +3,9 @@
 import json
 from typing import Any
 
-import pytest
-
 from harness.clients import values_of
 from harness.page import OpenPage
 from harness.server import RunningServer
-
-
-@pytest.fixture(scope="module")
-def page(kept_page: OpenPage) -> OpenPage:
-    return kept_page
 
 
 def is_hidden(page: OpenPage, test_id: str) -> bool:

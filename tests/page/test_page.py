@@ -48,6 +48,10 @@ def type_target(page: OpenPage, position_m: tuple[float, float, float]) -> None:
         page.enter(f"target-{axis}", f"{1e3 * value_m:g}")
 
 
+def move_to(server: RunningServer, name: str) -> None:
+    assert goal(server.url, "/moveit_goal_named", {"data": name})["val"] == 1
+
+
 def is_uncovered(page: OpenPage, test_id: str) -> bool:
     """Whether a click into the middle of an element meets it."""
     return bool(
@@ -71,13 +75,14 @@ def test_the_arm_is_drawn(page: OpenPage, server: RunningServer) -> None:
 
 
 def test_the_arm_moves_as_the_joint_states_do(page: OpenPage, server: RunningServer) -> None:
-    before = page.joints()
-    assert goal(server.url, "/moveit_goal_named", {"data": "ready"})["val"] == 1
-    page.until_state(f"Math.abs(s.joints.position_rad[1] - {before['shoulder_lift']}) > 0.1")
+    for name, lift_rad in (("home", 0.0), ("ready", -0.5)):
+        move_to(server, name)
+        page.until_state(f"Math.abs(s.joints.position_rad[1] - {lift_rad}) < 0.1")
     page.until("Math.abs(window.armbridge.drawn.joint_stamp_s - window.armbridge.state().joints.stamp) < 1")
 
 
-def test_a_named_pose_is_planned_looked_at_and_moved_to(page: OpenPage) -> None:
+def test_a_named_pose_is_planned_looked_at_and_moved_to(page: OpenPage, server: RunningServer) -> None:
+    move_to(server, "ready")
     page.part("named-home").click()
     page.press("plan")
     page.until_state("s.plan.trajectory !== null && s.plan.tool_path.length > 1")
@@ -128,7 +133,7 @@ def test_a_refused_goal_shows_its_sentence(page: OpenPage) -> None:
 
 @pytest.mark.parametrize("way", ["button", "Escape"])
 def test_stop_ends_a_long_motion_and_is_acknowledged(page: OpenPage, server: RunningServer, way: str) -> None:
-    assert goal(server.url, "/moveit_goal_named", {"data": "home"})["val"] == 1
+    move_to(server, "home")
     set_speed(page, 5)
     page.part("named-extended").click()
     page.part("plan-and-move").click()
@@ -153,16 +158,20 @@ def test_a_saved_pose_is_used_by_its_name(page: OpenPage, server: RunningServer)
     page.part("save-name").fill("aside")
     page.part("save").click()
     page.part("named-aside").wait_for()
-    assert goal(server.url, "/moveit_goal_named", {"data": "home"})["val"] == 1
+    move_to(server, "home")
     page.part("named-aside").click()
     page.part("plan-and-move").click()
     page.until_state("Math.abs(s.joints.position_rad[0] - 0.5) < 0.06")
 
 
 def test_two_pages_follow_the_same_arm(browser: Browser, page: OpenPage, server: RunningServer) -> None:
+    move_to(server, "home")
+    page.part("save-name").fill("shared")
+    page.part("save").click()
+    page.part("named-shared").wait_for()
     with opened(browser) as second:
         second.open(server.port)
-        second.until_state("'aside' in s.named && s.joints.names.length > 0")
+        second.until_state("'shared' in s.named && s.joints.names.length > 0")
         before = second.joints()["shoulder_lift"]
         page.part("named-ready").click()
         page.part("plan-and-move").click()

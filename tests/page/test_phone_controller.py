@@ -64,17 +64,19 @@ SETTINGS = SHARED
 
 
 @pytest.fixture(scope="module")
-def phone(browser: Browser, server: RunningServer) -> Iterator[OpenPage]:
+def phone(browser: Browser) -> Iterator[OpenPage]:
     with opened(browser, PHONE, own=True, has_touch=True, is_mobile=True) as page:
+        # A browser without windows has nobody to ask, and waits for an answer.
+        page.page.context.grant_permissions(["accelerometer", "gyroscope", "magnetometer"])
         page.page.add_init_script(SENSORS + LISTEN)
-        page.open(server.port)
-        page.open_panel("drive")
         yield page
 
 
 @pytest.fixture
 def page(phone: OpenPage, record: ArmRecord, server: RunningServer) -> OpenPage:
-    """The phone's page with the arm in a pose from which it can be driven everywhere."""
+    """The phone's page, opened again, with the arm in a pose from which it can be driven everywhere."""
+    phone.open(server.port)
+    phone.open_panel("drive")
     at_ready(phone, server.url)
     # The arm settles for a moment after its goal.
     record.until_rest()
@@ -128,7 +130,6 @@ def started_by_tilt(page: OpenPage) -> None:
 
 
 def test_without_sensors_the_page_says_so(page: OpenPage) -> None:
-    page.page.evaluate("window.sensors = false")
     page.part("phone-start").click()
     page.until_text("phone-status", "gave no orientation within 2 s")
     assert page.part("phone-clutch").is_hidden()

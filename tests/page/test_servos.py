@@ -42,23 +42,29 @@ JOINTS = {joint.joint: joint for joint in ARM.calibration.joints}
 
 
 @pytest.fixture(scope="module")
-def calibrations(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("calibrations")
-
-
-@pytest.fixture(scope="module")
-def arm(calibrations: Path) -> Iterator[ServerOnBus]:
-    """A server with an emulated arm, for which lerobot has no calibration yet."""
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("HF_LEROBOT_CALIBRATION", str(calibrations))
-        with server_on_bus() as running:
-            yield running
+def arm() -> Iterator[ServerOnBus]:
+    with server_on_bus() as running:
+        yield running
 
 
 @pytest.fixture
-def page(tab: OpenPage, arm: ServerOnBus) -> OpenPage:
+def uncalibrated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[ServerOnBus]:
+    """A server of its own, for whose arm lerobot has no calibration yet: another server runs after the calibration."""
+    monkeypatch.setenv("HF_LEROBOT_CALIBRATION", str(tmp_path))
+    with server_on_bus() as running:
+        yield running
+
+
+@pytest.fixture
+def holding(arm: ServerOnBus) -> ServerOnBus:
+    assert call(arm.server.url, "/arm/enable")["success"]
+    return arm
+
+
+@pytest.fixture
+def page(tab: OpenPage, holding: ServerOnBus) -> OpenPage:
     """A page with its list of servos open."""
-    tab.open(arm.server.port)
+    tab.open(holding.server.port)
     tab.open_panel("arm", "servos")
     tab.part("servo-open-elbow_flex").wait_for()
     return tab
@@ -83,9 +89,9 @@ def test_choosing_a_servo_shows_its_registers_and_its_lines(page: OpenPage) -> N
     page.part("servo-details").wait_for(state="hidden")
 
 
-def test_the_state_of_the_torque_is_told_in_the_language_of_the_page(browser: Browser, arm: ServerOnBus) -> None:
+def test_the_state_of_the_torque_is_told_in_the_language_of_the_page(browser: Browser, holding: ServerOnBus) -> None:
     with opened(browser, locale="de") as page:
-        page.open(arm.server.port)
+        page.open(holding.server.port)
         page.open_panel("arm", "servos")
         page.part("servo-open-gripper").click()
         page.until_text("servo-condition", "Kraft an")
@@ -129,13 +135,10 @@ def test_the_list_is_walked_by_the_keyboard_while_the_servos_report(page: OpenPa
     assert page.part("servo-open-shoulder_lift").get_attribute("aria-expanded") == "true"
 
 
-@pytest.fixture
-def procedures(tab: OpenPage, arm: ServerOnBus) -> OpenPage:
-    """A page with its procedures open."""
-    tab.open(arm.server.port)
-    tab.until_state("s.commissioning !== null")
-    tab.open_panel("arm", "commissioning")
-    return tab
+def open_procedures(page: OpenPage, arm: ServerOnBus) -> None:
+    page.open(arm.server.port)
+    page.until_state("s.commissioning !== null")
+    page.open_panel("arm", "commissioning")
 
 
 def commissioning(page: OpenPage) -> dict[str, Any]:
@@ -173,8 +176,9 @@ def show_direction(page: OpenPage, emulator: EmulatorControl, name: str) -> None
     move_by_hand(page, emulator, {name: (present + sign * SHOWN_TICKS) % 4096})
 
 
-def test_an_arm_is_verified_on_the_page_in_every_pose(procedures: OpenPage, arm: ServerOnBus) -> None:
-    page = procedures
+def test_an_arm_is_verified_on_the_page_in_every_pose(tab: OpenPage, arm: ServerOnBus) -> None:
+    page = tab
+    open_procedures(page, arm)
     page.part("verify").click()
     page.until_state("s.commissioning.step === 'torque'")
     answer(page, "Move")
@@ -193,9 +197,10 @@ def test_an_arm_is_verified_on_the_page_in_every_pose(procedures: OpenPage, arm:
 
 
 def test_an_arm_is_calibrated_on_the_page_into_a_file_of_lerobot(
-    procedures: OpenPage, arm: ServerOnBus, calibrations: Path
+    tab: OpenPage, uncalibrated: ServerOnBus, tmp_path: Path
 ) -> None:
-    page = procedures
+    page, arm = tab, uncalibrated
+    open_procedures(page, arm)
     page.part("calibration-name").fill(NAME)
     page.part("calibrate").click()
     page.until_state("s.commissioning.step === 'hold'")
@@ -223,7 +228,7 @@ def test_an_arm_is_calibrated_on_the_page_into_a_file_of_lerobot(
     answer(page, "Write")
     page.until_text("procedure-result", "The calibration is in the servos")
     page.until_state("s.link.connected && s.arm.mode === 'relaxed'")
-    (file,) = calibrations.rglob(f"{NAME}.json")
+    (file,) = tmp_path.rglob(f"{NAME}.json")
     written = json.loads(file.read_text())
     assert written.keys() == JOINTS.keys()
     for name, joint in JOINTS.items():

@@ -198,11 +198,13 @@ def cut_sizes(page: OpenPage) -> list[tuple[int, int]]:
     return found
 
 
-def test_the_page_comes_back_by_itself(page: OpenPage, server: RunningServer, settings: dict[str, str]) -> None:
-    """The last test of this server."""
-    named(server, "ready")
-    plan_to(page, "home")
-    server.end(signal.SIGKILL)
+def test_the_page_comes_back_by_itself(tab: OpenPage, settings: dict[str, str]) -> None:
+    page = tab
+    with RunningServer(settings=settings) as server:
+        page.open(server.port)
+        named(server, "ready")
+        plan_to(page, "home")
+        server.end(signal.SIGKILL)
     page.until_state("!s.link.connected")
     assert page.part("primary").is_disabled()
     assert "grayscale" in page.part("view").evaluate("view => getComputedStyle(view).filter")

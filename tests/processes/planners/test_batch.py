@@ -33,15 +33,24 @@ class DaskCluster:
     """A scheduler and its workers, by the commands of docs/planning.md; each takes one problem at a time."""
 
     def __init__(self) -> None:
+        self.workers: list[subprocess.Popen[bytes]] = []
+        self._start_scheduler()
+
+    def _start_scheduler(self) -> None:
         self._port = free_port()
         self.address = f"tcp://{HOST}:{self._port}"
-        self.workers: list[subprocess.Popen[bytes]] = []
         self.scheduler = self._start("scheduler", "--port", str(self._port), "--dashboard-address", f"{HOST}:0")
         # Dask's own attempts come further and further apart.
         wait_until(lambda: is_open(self._port))
 
-    def add_workers(self, count: int) -> None:
-        self.workers += [self._start("worker", self.address, "--nthreads", "1", "--no-nanny") for _ in range(count)]
+    def have_workers(self, count: int) -> None:
+        """Start what is missing of the scheduler and this number of workers: tests end parts of a cluster."""
+        if self.scheduler.poll() is not None:
+            self.close()
+            self._start_scheduler()
+        self.workers = [each for each in self.workers if each.poll() is None]
+        while len(self.workers) < count:
+            self.workers.append(self._start("worker", self.address, "--nthreads", "1", "--no-nanny"))
         with distributed.Client(self.address, timeout=TIMEOUT_S) as client:
             client.wait_for_workers(count, timeout=TIMEOUT_S)
 
@@ -66,17 +75,23 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="module")
-def empty_cluster() -> Iterator[DaskCluster]:
-    """A cluster that gets its workers later; the last tests end its parts."""
+def shared_cluster() -> Iterator[DaskCluster]:
     running = DaskCluster()
     yield running
     running.close()
 
 
-@pytest.fixture(scope="module")
-def cluster(empty_cluster: DaskCluster) -> DaskCluster:
-    empty_cluster.add_workers(2)
-    return empty_cluster
+@pytest.fixture
+def cluster(shared_cluster: DaskCluster) -> DaskCluster:
+    shared_cluster.have_workers(2)
+    return shared_cluster
+
+
+@pytest.fixture
+def empty_cluster() -> Iterator[DaskCluster]:
+    running = DaskCluster()
+    yield running
+    running.close()
 
 
 def planned(cluster: str | None, *paths: Path, json_path: Path | None = None) -> tuple[int, list[str], list[str]]:
@@ -165,6 +180,7 @@ def test_an_interrupt_takes_back_what_is_not_planned(cluster: DaskCluster) -> No
 def test_problems_of_a_worker_that_dies_are_planned_by_another(cluster: DaskCluster) -> None:
     answers, open_ = begun(cluster, 1.0)
     cluster.workers[0].kill()
+    cluster.workers[0].wait(TIMEOUT_S)
     rest = list(answers)
     assert len(rest) == open_
     assert all(isinstance(answer, Plan) for _, answer, _ in rest)
@@ -174,6 +190,7 @@ def test_a_scheduler_that_is_lost_ends_the_batch(cluster: DaskCluster) -> None:
     # The others take longer than this test.
     answers, _ = begun(cluster, 60.0)
     cluster.scheduler.kill()
+    cluster.scheduler.wait(TIMEOUT_S)
     with pytest.raises(BatchError, match=f"the Dask scheduler {cluster.address} was lost"):
         list(answers)
 

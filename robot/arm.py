@@ -241,16 +241,17 @@ class Arm(ArmClock):
         *,
         gripping: bool = False,
         torque_share: float = 1.0,
-        continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
+        continues: tuple[asyncio.Future[MotionEnded], float, float] | None = None,
         epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
         """Send a trajectory at once and in order with :meth:`stop`; the future of its end never raises.
 
-        A motion ``continues`` another one from a time on it [s], where both coincide for some time, without a stop. It
-        has the stop epoch in which it was requested, None for now; see :class:`robot.messages.Execute` for the rest.
+        A motion ``continues`` another one without a stop, from a time on it [s]; both coincide until a monotonic time
+        [s]. It has the stop epoch in which it was requested, None for now; see :class:`robot.messages.Execute` for the
+        rest.
         """
         motion_id = next(self._ids)
-        continuation = None if continues is None else Continuation(self._number(continues[0]), continues[1])
+        continuation = None if continues is None else Continuation(self._number(continues[0]), *continues[1:])
         return self._begin(
             Execute(motion_id, trajectory, gripping, torque_share, continuation, _epoch_of_request(epoch))
         )

@@ -123,6 +123,7 @@ class Continuation:
 
     motion_id: int  # motion in progress that is replaced
     from_s: float  # time on it at which the new one begins [s]
+    leaves_s: float = 0.0  # monotonic time at which the new one leaves its path; a tick comes soon after [s]
 
 
 @dataclass(frozen=True)

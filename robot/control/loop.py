@@ -70,8 +70,17 @@ def _family(config: SerialConfig) -> ServoFamily:
 # A step of a sequence is a transaction of 1 to 2 ms; when less time is left until the tick, only the first is taken.
 STEP_ROOM_S = 0.002
 
-# Messages that change the goals of an arm: the next tick comes sooner, up to half a period.
+# Messages that change the goals of an arm: a tick comes sooner, up to half a period.
 _PROMPT = (Execute, Stop, Command)
+
+# Goals on a path differ from goals on the path that it leaves so long after, at the jerk of a policy's motions [s].
+PARTED_S = 0.0025
+
+
+def _prompt_from_s(message: Execute | Stop | Command) -> float:
+    """Return the monotonic time from which a tick changes goals by a message [s]; 0 for at once."""
+    continues = message.continues if isinstance(message, Execute) else None
+    return 0.0 if continues is None else continues.leaves_s + PARTED_S
 
 
 class ArmLoop:
@@ -141,8 +150,8 @@ class ArmLoop:
             if (spare := self._supervisor.spare_ticks) < skipped:
                 pacer.cancel_skip(skipped - spare, time.monotonic())
                 skipped = spare
-            if any(isinstance(message, _PROMPT) for message in messages):
-                pacer.bring_forward(time.monotonic())
+            if prompt_s := [_prompt_from_s(message) for message in messages if isinstance(message, _PROMPT)]:
+                pacer.bring_forward(max(time.monotonic(), min(prompt_s)))
         return skipped
 
     def _handle(self, messages: list[Any]) -> None:

@@ -36,6 +36,7 @@ class Pacer:
         self._period_s = PERIOD_S  # of the machine's time [s]
         self.deadline_s = now_s + PERIOD_S  # monotonic time at which the next tick is due [s]
         self.tick_s = now_s  # monotonic time at which the latest tick started [s]
+        self._prompt_s = now_s  # monotonic time at which the latest prompt tick was wanted [s]
         self.lateness_s: deque[float] = deque(maxlen=TICKS_KEPT)  # start of the latest ticks after their deadlines [s]
 
     def start_tick(self, now_s: float, rate: float = 1.0) -> None:
@@ -45,6 +46,8 @@ class Pacer:
         period_s = self._period_s = PERIOD_S / rate
         # The rounding of a tick that starts exactly at the next deadline must not make it due again at once.
         self.deadline_s += period_s * (1 + max(0, math.floor(late_s / period_s + ROUNDING)))
+        if self._prompt_s > now_s:
+            self.bring_forward(self._prompt_s)
 
     def skip(self, ticks: int) -> None:
         """Postpone the next tick by a number of periods."""
@@ -54,9 +57,13 @@ class Pacer:
         """Undo :meth:`skip`; a tick that would have been due meanwhile is due now, and not late."""
         self.deadline_s = max(self.deadline_s - ticks * self._period_s, now_s)
 
-    def bring_forward(self, now_s: float) -> None:
-        """Let the next tick be due now, and not late, but no sooner than half a period after the latest."""
-        self.deadline_s = min(self.deadline_s, max(now_s, self.tick_s + 0.5 * self._period_s))
+    def bring_forward(self, at_s: float) -> None:
+        """Let the first tick from a time on be due then, and not late, but half a period after another at the soonest.
+
+        Regular ticks before that time come as ever.
+        """
+        self._prompt_s = at_s
+        self.deadline_s = min(self.deadline_s, max(at_s, self.tick_s + 0.5 * self._period_s))
 
     def latest(self, count: int) -> tuple[float, ...]:
         """Return the lateness of the latest ticks, one value each [s]."""

@@ -266,7 +266,7 @@ class GoalExecutor:
         self._show_soon(planned)
         self.recorder.start()
         [motion] = planned.planned
-        answer = await self._play(goal, motion, version, planned.summary, from_s=point.from_s)
+        answer = await self._play(goal, motion, version, planned.summary, point=point)
         executed = None
         if goal.unlogged:
             # Nobody asks for the states of a motion in a stream.
@@ -329,7 +329,7 @@ class GoalExecutor:
             return None
         if frozenset(outgoing.trajectory.joint_names) != request.joints:
             return None
-        arrives_s = min(now_s + horizon_s, outgoing.until_s)
+        arrives_s = min(outgoing.path_time.clear_of_tick(now_s + horizon_s), outgoing.until_s)
         leaves_s = outgoing.path_time.earliest_leave_s(arrives_s)
         point = self._splice_point(now_s, leaves_s - now_s)
         if point is None or arrives_s <= now_s:
@@ -464,7 +464,7 @@ class GoalExecutor:
         version: int,
         summary: str,
         *,
-        from_s: float | None = None,
+        point: SplicePoint | None = None,
         to_come_s: float = 0.0,
     ) -> Answer:
         """Play a motion, found free in a version of the scene, to its end; every wait is bounded.
@@ -473,14 +473,14 @@ class GoalExecutor:
         for a moment, and brakes unless the other motion has taken its place by then.
 
         Args:
-            from_s: time on the outgoing motion at which this one begins, to replace it [s]; None to begin at rest.
+            point: splice point at which this one replaces the outgoing motion; None to begin at rest.
             to_come_s: duration of the goal's motions after this one [s].
         """
         outgoing, now_s, continues = self._outgoing, self._clock(), None
         path_time = PathTime(now_s, 0.0, self._arm.rate)
-        if outgoing is not None and from_s is not None:
-            continues = outgoing.ended, from_s
-            path_time = PathTime(now_s, outgoing.path_time.at(now_s) - from_s, outgoing.path_time.rate)
+        if outgoing is not None and point is not None:
+            continues = outgoing.ended, point.from_s, point.leaves_s
+            path_time = PathTime(now_s, outgoing.path_time.at(now_s) - point.from_s, outgoing.path_time.rate)
         ended = self._arm.execute(motion, continues=continues, epoch=goal.epoch)
         goal.allow_replacement()
         self._in_progress.add(motion, ended)

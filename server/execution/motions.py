@@ -180,6 +180,9 @@ SENDINGS_S = (0.0005, 0.0005, 0.005, SENDING_S)
 # A tick is later by at most this, unless other programs use every core [s]; an arm that has passed the point refuses.
 TICK_LATE_S = 0.003
 
+# A trajectory comes to the arm later than expected by at most this, mostly: its check takes 3 to 4 ms [s].
+ARRIVAL_LATE_S = 0.001
+
 # The arm may have played so much less of its motion than the latest state says here: states come at 50 Hz.
 STATE_AGE_S = 0.1
 
@@ -204,6 +207,7 @@ class SplicePoint:
 
     lead: Trajectory  # the present motion from a little before now to the point, its time from 0 on
     from_s: float  # time on the present motion at which the lead begins [s]
+    leaves_s: float  # monotonic time at which the lead ends [s]
 
     @property
     def start_rad(self) -> dict[str, float]:
@@ -251,6 +255,11 @@ class PathTime:
         since_tick_s = math.fmod(arrives_s - self.at_s, PERIOD_S)
         return arrives_s - since_tick_s + min(since_tick_s, TICK_LATE_S)
 
+    def clear_of_tick(self, arrives_s: float) -> float:
+        """Return a time of arrival, or the next tick's where the arrival might be after it as well as before it [s]."""
+        to_tick_s = self.passes_s(arrives_s) - arrives_s
+        return arrives_s + to_tick_s if self.at_tick and to_tick_s < ARRIVAL_LATE_S else arrives_s
+
     def passes_s(self, arrives_s: float) -> float:
         """Return the time at which the arm is past that point: of its next tick, or a period later."""
         return arrives_s + PERIOD_S - (math.fmod(arrives_s - self.at_s, PERIOD_S) if self.at_tick else 0.0)
@@ -263,7 +272,7 @@ def splice_point_of(motion: Trajectory, path_time: PathTime, now_s: float, horiz
     from_s = max(reached_s - STATE_AGE_S * max(path_time.rate, 1.0), 0.0)
     if path_time.rate == 0.0 or reached_s > motion.duration_s or leave_s - from_s < MIN_PIECE_S:
         return None
-    return SplicePoint(_between(motion, from_s, leave_s), from_s)
+    return SplicePoint(_between(motion, from_s, leave_s), from_s, now_s + horizon_s)
 
 
 def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: RobotModel) -> Trajectory:

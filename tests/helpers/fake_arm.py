@@ -81,7 +81,7 @@ class FakeArm:
         *,
         gripping: bool = False,
         torque_share: float = 1.0,
-        continues: tuple[asyncio.Future[MotionEnded], float] | None = None,
+        continues: tuple[asyncio.Future[MotionEnded], float, float] | None = None,
         epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
         if epoch is not None and epoch < self.last_stop:

@@ -20,6 +20,7 @@ from robot.messages import (
     ArmState,
     Command,
     CommandDone,
+    Continuation,
     EndState,
     Execute,
     Heartbeat,
@@ -164,6 +165,22 @@ def test_a_tick_is_every_hundredth_second_or_skipped_at_rest_and_half_a_period_a
     # Every other tick, after half a second at rest every fifth.
     assert np.diff(ticked_s[over : over + 26]) == pytest.approx(0.02)
     assert np.diff(ticked_s[over + 26 :]) == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(("leaves_s", "ticks_s"), [(2.0555, [2.058, 2.068]), (2.0595, [2.06, 2.065, 2.075])])
+def test_a_tick_follows_soon_after_a_motion_has_left_the_path_of_another(
+    monkeypatch: pytest.MonkeyPatch, leaves_s: float, ticks_s: list[float]
+) -> None:
+    spliced = Execute(2, PAN, continues=Continuation(1, 0.0, leaves_s))
+    messages = (0.1, Heartbeat(observed=False)), (2.02, Execute(1, PAN)), (2.0505, spliced), (4.5, Shutdown())
+    channel = SteppedChannel(monkeypatch, IDEAL, *messages)
+    ticked_s = ticks_of(channel, monkeypatch)
+    after = int(np.searchsorted(ticked_s, 2.0505))
+    assert ticked_s[after : after + len(ticks_s)] == pytest.approx(ticks_s)
+    assert [(end.motion_id, end.outcome) for _, end in channel.kept(MotionEnded)] == [
+        (1, Outcome.STOPPED),
+        (2, Outcome.REACHED),
+    ]
 
 
 def test_sequences_take_all_steps_between_two_ticks_that_there_is_time_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -60,17 +60,20 @@ def test_a_skipped_tick_puts_off_the_next_and_one_that_is_needed_meanwhile_is_du
     assert pacer.latest(1) == pytest.approx((0.0,))
 
 
-@pytest.mark.parametrize(("now_s", "due_s"), [(0.011, 0.015), (0.017, 0.017), (0.023, 0.02)])
-def test_a_tick_that_is_brought_forward_is_due_at_once_but_half_a_period_after_the_last(
-    now_s: float, due_s: float
+@pytest.mark.parametrize(
+    ("at_s", "due_s"),
+    [(0.011, (0.015, 0.025)), (0.017, (0.017, 0.027)), (0.021, (0.02, 0.025, 0.035)), (0.027, (0.02, 0.027, 0.037))],
+)
+def test_a_tick_that_is_brought_forward_is_due_at_its_time_but_half_a_period_after_the_last(
+    at_s: float, due_s: tuple[float, ...]
 ) -> None:
     pacer = Pacer(0.0)
     pacer.start_tick(0.01)
-    pacer.bring_forward(now_s)
-    assert pacer.deadline_s == pytest.approx(due_s)
-    pacer.start_tick(due_s)
-    assert pacer.latest(1) == pytest.approx((0.0,), abs=1e-9)
-    assert pacer.deadline_s == pytest.approx(due_s + PERIOD_S)
+    pacer.bring_forward(at_s)
+    for each_s in due_s:
+        assert pacer.deadline_s == pytest.approx(each_s)
+        pacer.start_tick(each_s)
+        assert pacer.latest(1) == pytest.approx((0.0,), abs=1e-9)
 
 
 def test_percentiles_of_nothing_are_zero() -> None:

@@ -139,6 +139,8 @@ def test_a_trajectory_leaves_the_path_just_after_the_last_tick_before_it_comes_t
 ) -> None:
     path_time = motions.PathTime(5.0, 1.0, 1.0, at_tick=True)
     assert path_time.earliest_leave_s(arrives_s) == pytest.approx(leaves_s)
+    assert path_time.clear_of_tick(arrives_s) == pytest.approx(5.03 if arrives_s > 5.029 else arrives_s)
     assert path_time.passes_s(arrives_s) == pytest.approx(math.floor(100.0 * arrives_s + 1.0) / 100.0)
     untimed = replace(path_time, at_tick=False)
+    assert untimed.clear_of_tick(arrives_s) == arrives_s
     assert (untimed.earliest_leave_s(arrives_s), untimed.passes_s(arrives_s)) == (arrives_s, arrives_s + PERIOD_S)

@@ -11,12 +11,14 @@ from server.features.monitoring import Recording
 from server.gateway.settings import ServerSettings
 from server.recording.reading import RecordingFile
 from server.zenoh.settings import ZenohSettings
+from tests.conformance.cases import INTERFACES
 
 
 async def test_settings_reach_graph_and_bridge_and_nobody_is_connected_before_the_rules_of_names_are_known() -> None:
-    server = ServerSettings(unregister_timeout_s=3.0, limits=Limits(max_message_bytes=70_000))
+    server = ServerSettings(unregister_timeout_s=3.0, limits=Limits(max_message_bytes=70_000), interfaces=[INTERFACES])
     app = App(Settings(server=server, zenoh=ZenohSettings(mode="peer")))
     assert app.graph._unregister_timeout_s == 3.0
+    assert app.graph.message_types.registry.knows("lab_msgs/Sample")
     assert app.bridge is not None
     assert App(Settings()).bridge is None
     assert app.bridge._max_message_bytes == 70_000

@@ -16,7 +16,7 @@ from harness.waiting import TIMEOUT_S, wait_until
 from server import classroom as module
 from server.classroom import Member
 
-# Members that say when they wait for SIGTERM or ignore it, and one that writes to its log, and ends after a while.
+# Members that say when they wait for SIGTERM or ignore it.
 PROGRAM = """
 import logging, os, signal, sys, time
 from pathlib import Path
@@ -38,10 +38,6 @@ def be_deaf():
     Path({folder!r}, f"ready {{os.getpid()}}").touch()
     while True:
         time.sleep(1)
-
-def end():
-    print("begun", flush=True)
-    time.sleep(0.1)
 
 import server.classroom as module
 module.END_TIMEOUT_S = {end_timeout_s}
@@ -74,13 +70,6 @@ def run(tmp_path: Path) -> Iterator[Callable[[str], psutil.Process]]:
 def until_ready(folder: Path) -> None:
     """Wait until both members have their handlers of SIGTERM, without which it ends them at once."""
     wait_until(lambda: len(list(folder.glob("ready *"))) == 2)
-
-
-def test_a_member_that_ends_starts_again_later_each_time(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:
-    supervisor = run("end")
-    wait_until(lambda: (tmp_path / "two.log").read_text().count("begun") >= 3)
-    (first, *_) = supervisor.children()
-    assert first.is_running()
 
 
 def test_one_signal_ends_all_in_good_order(run: Callable[[str], psutil.Process], tmp_path: Path) -> None:

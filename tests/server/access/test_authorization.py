@@ -92,7 +92,8 @@ NEEDS: dict[Role, dict[str, str]] = {
     },
     Role.PROPOSE: {"call_service": "/moveit_goal"},
     Role.OPERATE: {
-        "publish": f"{GOAL} moveit_goal_named /move_group/goal /of_a_client /dataset/episode",
+        "publish": f"{GOAL} moveit_goal_named /move_group/goal /of_a_client /dataset/episode /moveit_goal_approve "
+        "/moveit_goal_confirm /arm/speed_factor /servo_node/delta_joint_cmds",
         "advertise": GOAL,
         "advertise_service": "/mine",
         "advertise_action": "/mine",

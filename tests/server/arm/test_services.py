@@ -1,10 +1,8 @@
-import re
 from typing import Any
 
 import pytest
 
 from harness.clients import ArmClient, values_of
-from harness.server import ServerOnBus
 from protocol.errors import MessageError
 from robot.messages import ChangePace
 from server.arm.interface import PAUSE, RESUME, SPEED_FACTOR_TOPIC, SPEED_LIMIT, STEP_BACK, offer_pace
@@ -13,7 +11,6 @@ from server.graph.topics import Graph, LocalGraph
 from tests.helpers.fake_arm import FakeArm
 from tests.helpers.graph import answered
 from tests.helpers.messages import REGISTRY
-from tests.server.conftest import JOINTS
 
 RESULT = "/moveit_goal_result"
 
@@ -85,22 +82,6 @@ async def test_whatever_is_published_on_the_topic_stops(client: ArmClient, msg: 
     await client.say("advertise", topic="/emergency_stop", type="std_msgs/Empty")
     await client.say("publish", topic="/emergency_stop", msg=msg)
     await client.until_mode("fault")
-
-
-async def test_an_obstacle_is_answered_with_the_fault_until_it_is_gone(client: ArmClient, served: ServerOnBus) -> None:
-    pan_rad = (await client.until("/joint_states", bool))[-1]["position"][0]
-    end_rad = -1.5 if pan_rad > 0.0 else 1.5
-    in_the_way = JOINTS["shoulder_pan"].ticks_from_rad((pan_rad + end_rad) / 2)
-    served.emulator.command(obstacle={"1": in_the_way})
-    await pan_to(client, end_rad)
-    failed = (await results(client))[0]
-    assert failed["val"] == -4
-    assert re.match("joint shoulder_pan (is stalled|is .* behind its goal)", failed["message"])
-    await pan_to(client, 0.0)
-    assert "/arm/reset_fault" in (await results(client, 2))[1]["message"]
-    served.emulator.command(obstacle={"1": None})
-    assert (await client.call("/arm/reset_fault"))["success"]
-    await client.until_mode("holding")
 
 
 class Desk:

@@ -28,7 +28,7 @@ from robot.control.pacing import PERIOD_S
 from robot.messages import ArmState, Mode, MotionEnded, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.execution import executor as execution
-from server.execution.executor import CODE_OF_OUTCOME, MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
+from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
 from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.monitors import CurrentScene, CurrentState
 from server.execution.motions import (
@@ -289,12 +289,17 @@ async def test_an_external_trajectory_is_checked_and_played_from_where_the_arm_h
 # The motion that is played
 
 
-@pytest.mark.parametrize("outcome", [one for one in Outcome if one in CODE_OF_OUTCOME and one is not Outcome.STOPPED])
+REACHED, FAILED, LOST = MoveItErrorCode.SUCCESS, MoveItErrorCode.CONTROL_FAILED, MoveItErrorCode.COMMUNICATION_FAILURE
+CODES = {Outcome.REACHED: REACHED, Outcome.BUS_LOST: LOST, Outcome.PROCESS_LOST: LOST}
+CODES |= dict.fromkeys((Outcome.REFUSED, Outcome.TRACKING_LOST, Outcome.NOT_SETTLED, Outcome.FAULT), FAILED)
+
+
+@pytest.mark.parametrize("outcome", CODES)
 async def test_every_outcome_has_its_code_and_message_and_ends_the_monitoring(stage: Stage, outcome: Outcome) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     stage.arm.end(outcome, "that is how it went")
     answer = await stage.answer()
-    assert (answer.code, answer.message) == (CODE_OF_OUTCOME[outcome], "that is how it went")
+    assert (answer.code, answer.message) == (CODES[outcome], "that is how it went")
     assert answer.details == {"outcome": outcome.value}
     stage.contact = WALL
     await stage.change(2)

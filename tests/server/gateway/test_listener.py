@@ -254,13 +254,6 @@ async def test_without_a_certificate_there_is_no_reload(listener: Listener, capl
     assert "TLS is not configured (server.tls_certificate); nothing to reload" in caplog.text
 
 
-async def test_closing_ends_every_connection(listener: Listener) -> None:
-    websocket = await connect(listener.url)
-    await asyncio.wait_for(listener.close(), TIMEOUT_S)
-    await asyncio.wait_for(websocket.wait_closed(), TIMEOUT_S)
-    assert websocket.close_code == 1001
-
-
 IPV4, IPV6 = (socket.AF_INET, ("127.0.0.1", 9090)), (socket.AF_INET6, ("::1", 9090, 0, 0))
 
 

@@ -1,19 +1,17 @@
-"""An arm that starts relaxed, ends relaxed, and whose process is killed."""
+"""An emergency stop beside a flood, and a fault of an arm whose process is killed."""
 
 import asyncio
 import json
 import os
 import re
 import signal
-from pathlib import Path
 
 from websockets.asyncio.client import connect
 
-from harness.clients import ArmClient, arm_client, values_of
-from harness.server import ServerOnBus, read_write_log, server_on_bus
+from harness.clients import ArmClient, values_of
+from harness.server import ServerOnBus
 from harness.waiting import until
 from tests.server.arm.test_services import begin_to_move
-from tests.server.conftest import FAST
 
 
 async def test_an_emergency_stop_gets_through_a_flood(client: ArmClient, served: ServerOnBus) -> None:
@@ -48,14 +46,3 @@ async def test_a_fault_outlives_the_arm_process(client: ArmClient, served: Serve
     os.kill(pid, signal.SIGKILL)
     await client.until_mode("disconnected")
     assert values_of(await client.until_mode("fault"))["fault"] == "emergency_stop"
-
-
-async def test_an_arm_that_is_not_to_be_enabled_starts_relaxed_and_ends_relaxed(tmp_path: Path) -> None:
-    log = tmp_path / "writes.jsonl"
-    with server_on_bus(EMULATOR__WRITE_LOG=str(log), ARM__START_ENABLED="false", ARM__ON_EXIT="relax", **FAST) as made:
-        async with arm_client(made.server.url) as client:
-            await client.until_mode("relaxed")
-            assert (await client.call("/arm/enable"))["success"]
-            await begin_to_move(client)
-        assert made.server.end(signal.SIGTERM)[0] == 0
-        assert set(read_write_log(log)[-1]["torque"].values()) == {0}

@@ -287,7 +287,7 @@ class ActionChunks:
         node.offer(PAUSE, "std_srvs/Trigger", self._pause, rule=WORKING)
         node.offer_calls(RESUME, "std_srvs/Trigger", self._resume, rule=WORKING)
         node.offer(STOP, "std_srvs/Trigger", self._stop, rule=STOPPING)
-        graph.graph.on_leave(self._leave)
+        context.graph.graph.on_leave(self._leave)
 
     def _leave(self, client: Node) -> None:
         """Brake on the path of a chunk whose client has left, if it takes its goals along."""

@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from typing import NoReturn
 
-from server.commands import arm, calibrate, files, installation, publish, report, robot, serve, setup
+from server.commands import arm, calibrate, certificate, config, export, plan, publish, report, robot, serve, setup
 from server.commands.options import guarded
 from server.commands.terminal import EXIT_CODES, ExitCode
 from server.config_keys import unknown
@@ -27,16 +27,16 @@ COMMANDS = (
     arm.add_doctor_parser,
     arm.add_relax_parser,
     robot.add_robot_parser,
-    files.add_plan_parser,
+    plan.add_plan_parser,
     serve.add_classroom_parser,
     publish.add_leader_parser,
     serve.add_replay_parser,
     publish.add_camera_parser,
-    files.add_export_parser,
+    export.add_export_parser,
     serve.add_emulate_parser,
-    installation.add_certificate_parser,
-    installation.add_config_parser,
-    installation.add_systemd_unit_parser,
+    certificate.add_certificate_parser,
+    config.add_config_parser,
+    config.add_systemd_unit_parser,
     report.add_report_parser,
 )
 

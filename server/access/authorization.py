@@ -19,8 +19,9 @@ from protocol.operations import (
     Subscribe,
     qualify,
 )
-from server.access.authentication import VALID_FOR_S, OneTimeTokens, Tokens
+from server.access.authentication import Tokens
 from server.access.control_lease import ControlLease
+from server.access.one_time_tokens import VALID_FOR_S, OneTimeTokens
 from server.access.rate_limits import RateLimiter
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal

@@ -13,8 +13,8 @@ from websockets.http11 import Request
 
 from protocol.registry import Registry
 from protocol.type_descriptions import message_hash, service_hash
-from server.access.authentication import offer_one_time_tokens
 from server.access.authorization import rule_of_action, rule_of_service, rule_of_topic
+from server.access.one_time_tokens import offer_one_time_tokens
 from server.features.context import ArmContext, ServerContext
 from server.gateway import http_goals
 from server.gateway.http import HttpHandler, HttpResponse, Route

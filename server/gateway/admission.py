@@ -30,7 +30,8 @@ from websockets.datastructures import Headers
 
 from protocol.errors import one_line, shorten
 from robot.logs import LogLimiter
-from server.access.authentication import AuthThrottle, OneTimeTokens, Tokens
+from server.access.authentication import AuthThrottle, Tokens
+from server.access.one_time_tokens import OneTimeTokens
 from server.access.rate_limits import RateLimiter, client_key, is_loopback, parse_address
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError

@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from server.access.authentication import ISSUE, VALID_FOR_S, OneTimeTokens, Tokens, offer_one_time_tokens
+from server.access.authentication import Tokens
+from server.access.one_time_tokens import SERVICE, VALID_FOR_S, OneTimeTokens, offer_one_time_tokens
 from server.access.settings import AccessSettings
 from server.errors import ServiceError
 from server.graph.permissions import ANYONE, Identity, Role
@@ -72,7 +73,7 @@ class World(InProcess):
         offer_one_time_tokens(self.graph, self.access.one_time_tokens, self.access.tokens, lambda: urls)
 
     def ask(self, client: str, role: str = "") -> dict[str, Any]:
-        self.say(client, op="call_service", service=ISSUE, args={"role": role}, id="asked")
+        self.say(client, op="call_service", service=SERVICE, args={"role": role}, id="asked")
         (answered,) = (heard for heard in self.heard(client) if heard.get("id") == "asked")
         return answered["values"] if answered["result"] else {"refused": answered["values"]}
 

@@ -20,8 +20,8 @@ from robot.files import FileLock, FileLockedError, replace
 from server import cli
 from server.access.authentication import Tokens
 from server.access.settings import AccessSettings
-from server.commands import installation
-from server.commands.installation import ensure_token, server_command, unit
+from server.commands.certificate import ensure_token
+from server.commands.config import server_command, unit
 from server.commands.options import guarded, overrides, read_settings
 from server.commands.terminal import ExitCode
 from server.config import Settings

@@ -3,7 +3,8 @@ from ipaddress import ip_address
 import pytest
 from websockets.datastructures import Headers
 
-from server.access.authentication import MAX_WRONG, WINDOW_S, OneTimeTokens, Tokens
+from server.access.authentication import MAX_WRONG, WINDOW_S, Tokens
+from server.access.one_time_tokens import OneTimeTokens
 from server.errors import ConfigurationError
 from server.gateway import admission
 from server.gateway.admission import (

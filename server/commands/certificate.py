@@ -1,129 +1,20 @@
-"""Commands about the installation: ``armbridge config``, ``armbridge systemd-unit`` and ``armbridge certificate``."""
+"""Command ``armbridge certificate``: a certificate for this host that a phone accepts."""
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
-import re
 import secrets
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from robot.files import locked, replace
-from server.commands.options import Subparsers, add_command, add_setting_options, read_settings
-from server.commands.terminal import ExitCode, Terminal, table
-from server.config import Settings
-from server.config_keys import Setting, every_setting, template, toml_value
+from server.commands.options import Subparsers, add_command
+from server.commands.terminal import ExitCode, Terminal
 from server.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from server.access.certificates import CertificateFiles, EnsuredCertificate
-
-
-def add_config_parser(subparsers: Subparsers) -> None:
-    parser = add_command(
-        subparsers,
-        "config",
-        _config,
-        "print every setting with its value and its source, or a configuration file to begin with",
-        "Print the settings that armbridge serve would have with the same options and environment, and "
-        "who has set each: default, file, environment or command line.",
-    )
-    form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print them as a JSON object, by key")
-    form.add_argument(
-        "--template", action="store_true", help="print a TOML file with every setting explained, at its default"
-    )
-    add_setting_options(parser)
-
-
-def _config(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    if options.template:
-        terminal.tell(template(Settings).rstrip("\n"))
-        return ExitCode.DONE
-    settings, sources = read_settings(options)
-    values = list(_effective(settings, sources))
-    terminal.tell(_as_json(values) if options.json else _as_table(values))
-    return ExitCode.DONE
-
-
-def _effective(settings: Settings, sources: dict[str, str]) -> Iterator[tuple[Setting, Any, str]]:
-    dumped = settings.model_dump(mode="json")
-    for setting in every_setting(Settings):
-        value: Any = dumped
-        for part in setting.key.split("."):
-            value = value[part]
-        yield setting, value, sources.get(setting.key, "default")
-
-
-def _as_json(values: list[tuple[Setting, Any, str]]) -> str:
-    return json.dumps({setting.key: {"value": value, "source": source} for setting, value, source in values}, indent=2)
-
-
-def _as_table(values: list[tuple[Setting, Any, str]]) -> str:
-    rows = [
-        (setting.key, "-" if value is None else toml_value(value), setting.unit, source)
-        for setting, value, source in values
-    ]
-    return table(("setting", "value", "unit", "source"), rows)
-
-
-# The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; to park the arm takes up to
-# 15 s more, and is waited for. Then it may be killed.
-_AFTER_DEATH_S = 6
-_PARKING_S = 15
-
-# Words that need no quotes.
-_PLAIN = re.compile(r"[A-Za-z0-9_@/.+=:,-]+")
-
-# Template of the unit: braces that stay are doubled.
-_UNIT = Path(__file__).with_name("armbridge.service")
-
-
-def add_systemd_unit_parser(subparsers: Subparsers) -> None:
-    parser = add_command(
-        subparsers,
-        "systemd-unit",
-        _systemd_unit,
-        "print a systemd unit that runs the server as a service",
-        "Print a systemd unit for this installation: armbridge systemd-unit > armbridge.service.",
-    )
-    parser.add_argument("--config", type=Path, metavar="FILE", help="settings in TOML, for the service to read")
-    parser.add_argument("--user", metavar="NAME", help="run as this user (made up by systemd)")
-    parser.add_argument("--group", metavar="NAME", default="dialout", help="that serial ports belong to (dialout)")
-
-
-def _systemd_unit(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    command = server_command(Path(sys.executable))
-    terminal.tell(unit(command, options.config, options.user, options.group).rstrip())
-    return ExitCode.DONE
-
-
-def server_command(python: Path) -> list[str]:
-    script = python.parent / "armbridge"
-    return [str(script)] if script.is_file() else [str(python), "-P", "-m", "server.cli"]
-
-
-def unit(command: list[str], config: Path | None, user: str | None, group: str) -> str:
-    words = [*command, "serve", *([] if config is None else ["--config", str(config.absolute())])]
-    return _UNIT.read_text().format(
-        command=" ".join(_quoted(word) for word in words),
-        after_death_s=_AFTER_DEATH_S,
-        parking_s=_PARKING_S,
-        usage=int(ExitCode.USAGE),
-        user="DynamicUser=yes" if user is None else f"User={user}",
-        group=group,
-    )
-
-
-def _quoted(word: str) -> str:
-    """A word of a command line as systemd reads it (systemd.service, systemd.syntax)."""
-    escaped = word.replace("%", "%%").replace("$", "$$").replace("\\", "\\\\").replace('"', '\\"')
-    return escaped if _PLAIN.fullmatch(escaped) else f'"{escaped}"'
-
 
 _PHONES = """\
 Bring {authority} onto each phone, once.

@@ -280,7 +280,7 @@ def test_of_two_commands_at_a_time_one_makes_the_token(folder, monkeypatch):
         replace(path, content, mode)
 
     folder.mkdir(parents=True)
-    monkeypatch.setattr(installation, "replace", replace_locked)
+    monkeypatch.setattr(certificate, "replace", replace_locked)
     assert [bool(ensure_token(folder)[1]) for _ in range(2)] == [True, False]
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from robot.description import model, robot_folder
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
-from robot.description.robot_file import MAX_BYTES, read
+from robot.description.robot_file import MAX_BYTES, MAX_RATE, read
 from robot.description.robot_folder import PACKAGE, _robots, _urdfs, find_example
 from robot.description.servo_table import ZeroTick
 from robot.errors import DescriptionError, RobotFileError
@@ -132,7 +132,7 @@ def test_all_problems_of_the_files_are_told_at_once_and_what_is_missing_or_no_nu
     (folder / "robot.toml").write_text('[robot]\njoint_limits = "limits.yaml"')
     (folder / "limits.yaml").write_text("joint_limits: {a1: {has_velocity_limits: true, max_velocity: fast}}")
     (problem,) = robot_folder.problems(str(folder))
-    assert problem.endswith("joint_limits.a1.max_velocity must be a number, not 'fast'")
+    assert problem.endswith(f"joint_limits.a1.max_velocity must be a number, not 'fast' (at most {MAX_RATE:g})")
     (folder / "robot.toml").write_text("")
     (folder / "seven.urdf").unlink()
     (problem,) = robot_folder.problems(str(folder))

@@ -20,6 +20,7 @@ from robot.files import FileLock, FileLockedError, replace
 from server import cli
 from server.access.authentication import Tokens
 from server.access.settings import AccessSettings
+from server.commands import certificate
 from server.commands.certificate import ensure_token
 from server.commands.config import server_command, unit
 from server.commands.options import guarded, overrides, read_settings

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from protocol import values
+from protocol.errors import InterfaceError
 from protocol.operations import MAX_ID_CHARACTERS, MAX_NAME_CHARACTERS
 from protocol.registry import MAX_COMPILED_TYPES, ArrayBounds, Field, MessageType, Registry
 
@@ -27,10 +28,10 @@ class _UnsuitedError(Exception):
 
 @functools.lru_cache(maxsize=MAX_COMPILED_TYPES)
 def publication_reader(registry: Registry, type_name: str) -> PublicationReader | None:
-    """Return the reader of a message type's publications, None for a type that has none."""
+    """Return the reader of a message type's publications, None for a type that has none, such as an unknown one."""
     try:
         return PublicationReader(registry, registry.message(type_name))
-    except _UnsuitedError:
+    except (InterfaceError, _UnsuitedError):
         return None
 
 

@@ -1,12 +1,10 @@
 """Topics of one client: its publications, and its subscriptions with their deliveries."""
 
 import re
-from typing import NamedTuple
 
 from protocol.errors import OperationError, ProtocolError
 from protocol.operations import Advertise, Publish, Subscribe, Unadvertise, Unsubscribe, qualify
 from protocol.publication import PublishedMessage
-from protocol.strict_messages import PublicationReader
 from server.access.authorization import Authorizer
 from server.gateway.client_context import ClientContext
 from server.graph.message_types import PostponedError, ReceivedMessage
@@ -27,22 +25,14 @@ _TOPIC = re.compile(r'"topic"\s*:\s*"([^"\\]+)"')
 _TOPIC_WITHIN = 1024
 
 
-class StrictTopic(NamedTuple):
-    """Topic on which a client has published; ``reader`` holds for the graph's ``revision``."""
-
-    name: str
-    revision: int
-    reader: PublicationReader
-
-
 class ClientTopics:
     """Topics of one client."""
 
     def __init__(self, context: ClientContext, authorizer: Authorizer) -> None:
         self._client = context
         self._authorizer = authorizer
-        # By the topic as the client spells it.
-        self._strict_topics: dict[str, StrictTopic] = {}
+        # Topics on which the client has published, by its own spelling of each.
+        self._strict_topics: dict[str, str] = {}
         self._node = context.node
         self._session = context.session
         self._graph = context.graph
@@ -88,7 +78,7 @@ class ClientTopics:
         if not operation.latch:
             reader = self._graph.strict_reader(self._node, topic)
             if reader is not None and len(self._strict_topics) < MAX_STRICT_TOPICS:
-                self._strict_topics[operation.topic] = StrictTopic(topic, self._graph.revision, reader)
+                self._strict_topics[operation.topic] = topic
 
     def publish_strictly(self, frame: str) -> bool:
         """Publish a message where the client has published before; False for a frame to be read the general way."""
@@ -96,15 +86,15 @@ class ClientTopics:
             return False
         found = _TOPIC.search(frame, 0, _TOPIC_WITHIN)
         spelled = "" if found is None else found[1]
-        topic, graph = self._strict_topics.get(spelled), self._graph
+        topic = self._strict_topics.get(spelled)
         if topic is None:
             return False
-        holds = topic.revision == graph.revision or graph.strict_reader(self._node, topic.name) is topic.reader
-        message = topic.reader.read(frame, spelled) if holds and spelled in self._authorizer.settled else None
+        reader = self._graph.strict_reader(self._node, topic) if spelled in self._authorizer.settled else None
+        message = None if reader is None else reader.read(frame, spelled)
         if message is None:
             del self._strict_topics[spelled]
             return False
-        graph.relay(self._node, topic.name, message, LIFESPAN_S)
+        self._graph.relay(self._node, topic, message, LIFESPAN_S)
         return True
 
     def _latches(self, operation: Advertise | Publish) -> bool:

@@ -13,7 +13,6 @@ from protocol.errors import InterfaceError, LargeMessageError, MessageError, des
 from protocol.messages import MAX_VALUES, Stamp
 from protocol.publication import LARGE_BYTES
 from protocol.registry import Kind, Registry
-from protocol.strict_messages import PublicationReader, publication_reader
 
 # Values of the lists of one client's message beyond which a thread completes it: 10 ms at the slowest.
 VALUES_AT_ONCE = 4_000
@@ -91,10 +90,6 @@ class MessageTypes:
             if not self._relay_unknown_types or len(parts) not in (2, 3):
                 raise
             return f"{parts[0]}/{kind}/{parts[-1]}"
-
-    def strict_reader(self, type_name: str) -> PublicationReader | None:
-        """Return what reads messages of a type that are just as it declares them; None for a type that has none."""
-        return publication_reader(self.registry, type_name) if self.registry.knows(type_name) else None
 
     def now(self) -> Stamp:
         """Return the time of receipt of what comes now."""

@@ -313,7 +313,7 @@ class Graph:
         topic = self._topics.get(name)
         if topic is None or node not in topic.publishers or topic.latching or name in self.remarks:
             return None
-        # Asked for each message of a flood: a loop takes half a microsecond less than `any`.
+        # Asked for each message of a flood, where `any` takes 0.2 us more.
         for subscriber in topic.subscribers.values():
             if subscriber.check_lists is not None:
                 return None

@@ -31,10 +31,11 @@ _DATA = tempfile.TemporaryDirectory(prefix="armbridge")
 
 
 def pytest_configure() -> None:
-    """Keep the user's data directory out of the tests, and have Ctrl-C mean the same however the tests were started."""
+    """Keep the user's data directory out of the tests, and have signals mean the same however these were started."""
     os.environ["XDG_DATA_HOME"] = _DATA.name
-    # A shell has what it starts in the background ignore SIGINT, and programs that a test starts inherit that.
+    # A shell has what it starts in the background ignore SIGINT, and nohup SIGHUP; programs of a test inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def pytest_unconfigure() -> None:

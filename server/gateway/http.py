@@ -26,10 +26,10 @@ from websockets.http11 import Request, Response
 from protocol.errors import one_line, shorten
 from robot.description.model import RobotModel
 from robot.logs import LogLimiter
+from server.disk import Disk
 from server.errors import FileTooLargeError, ServiceError
 from server.graph.permissions import Identity
 from server.installation import DOCS_DIRECTORY, PAGE_DIRECTORY
-from server.named_files import Disk
 from server.robot_files import RobotFiles, file_below, with_package_urls
 
 log = logging.getLogger("armbridge.gateway")

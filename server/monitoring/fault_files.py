@@ -20,8 +20,9 @@ import orjson
 from numpy.typing import NDArray
 
 from robot.messages import ArmHealth, ArmState, Mode
+from server.disk import Disk
 from server.monitoring.ros_topics import LogRing
-from server.named_files import Disk, FileSeries
+from server.named_files import FileSeries
 
 log = logging.getLogger("armbridge.monitoring")
 

@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from robot import files
 from robot.description.model import RobotModel
+from server.disk import Disk
 from server.errors import ServiceError
 from server.execution.monitors import CurrentState, state_message
 from server.execution.motions import Positions
@@ -26,7 +27,7 @@ from server.graph.permissions import CONFIGURING, LOOKING, Rule
 from server.graph.services import Answered, ServiceFunction
 from server.graph.topics import Graph
 from server.moveit.messages import Message
-from server.named_files import Disk, read_json, set_aside
+from server.named_files import read_json, set_aside
 
 log = logging.getLogger("armbridge.named_states")
 

@@ -10,12 +10,13 @@ from typing import Any
 import pytest
 
 from server.config import Settings
+from server.disk import TIMEOUT_S, Disk
 from server.errors import ServiceError
 from server.features.moveit import kept_scene_path
 from server.graph.message_types import MessageTypes
 from server.moveit.named_states import NamedStates
 from server.moveit.scene.saved_scene import complete_scene
-from server.named_files import TIMEOUT_S, Disk, FileSeries, read_json, set_aside
+from server.named_files import FileSeries, read_json, set_aside
 from server.teaching.taught_motion import MotionFiles
 from tests.helpers.clock import FakeClock
 from tests.helpers.moveit import REGISTRY, ROBOT

@@ -14,6 +14,7 @@ from typing import Any
 from planners.scene import Box, Cone, Cylinder, Mesh, Plane, Pose, Shape, Sphere
 from protocol.errors import MessageError
 from robot import files
+from server.disk import Disk
 from server.errors import RefusedError, UnsuccessfulError, invalid
 from server.execution.monitors import CurrentState
 from server.graph.permissions import CONFIGURING, WORKING, Rule
@@ -23,7 +24,6 @@ from server.moveit.scene import collision_objects as shapes
 from server.moveit.scene.collision_objects import ADD, IDENTITY, NO_STAMP, CollisionObject
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
-from server.named_files import Disk
 
 log = logging.getLogger("armbridge.scene")
 

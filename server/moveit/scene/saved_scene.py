@@ -16,6 +16,7 @@ from protocol.codecs.pieces import encoded_pieces, json_notation
 from protocol.errors import MessageError
 from robot import files
 from robot.description.model import RobotModel
+from server.disk import Disk
 from server.errors import RefusedError, ServiceError
 from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
@@ -27,7 +28,7 @@ from server.moveit.scene.allowed_collision_matrix import AllowedCollisionMatrix
 from server.moveit.scene.interface import EVERYTHING, NO_MATRIX, NO_STATE, scene_message
 from server.moveit.scene.planning_scene import SceneContents
 from server.moveit.scene.scene_state import SceneState
-from server.named_files import Disk, NamedFiles, read_json, set_aside
+from server.named_files import NamedFiles, read_json, set_aside
 
 log = logging.getLogger("armbridge.scene")
 

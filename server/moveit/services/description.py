@@ -24,6 +24,7 @@ from robot.description.joined import chain_lengths_m
 from robot.description.model import RobotModel
 from robot.description.srdf import Group
 from robot.messages import ArmState
+from server.disk import Disk
 from server.errors import RefusedError, ServiceError
 from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.list_limits import ListLimits
@@ -34,7 +35,6 @@ from server.moveit.messages import Message, pose_of, write_transform
 from server.moveit.parameters import MoveItParameters
 from server.moveit.requests.constraints import planning_group, tip_link
 from server.moveit.scene.frames import Frames, seen_from
-from server.named_files import Disk
 from server.robot_files import RobotFiles, with_package_urls
 
 log = logging.getLogger("armbridge.description")

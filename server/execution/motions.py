@@ -253,8 +253,8 @@ class PathTime:
 
     def clear_of_tick(self, arrives_s: float) -> float:
         """Return a time of arrival, or the next tick's where the arrival might be after it as well as before it [s]."""
-        to_tick_s = self.passes_s(arrives_s) - arrives_s
-        return arrives_s + to_tick_s if self.at_tick and to_tick_s < ARRIVAL_LATE_S else arrives_s
+        tick_s = self.passes_s(arrives_s)
+        return tick_s if self.at_tick and tick_s - arrives_s < ARRIVAL_LATE_S else arrives_s
 
     def passes_s(self, arrives_s: float) -> float:
         """Return the time at which the arm is past that point: of its next tick, or a period later."""

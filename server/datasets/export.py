@@ -17,21 +17,16 @@ from protocol.errors import ProtocolError
 from protocol.registry import Registry
 from server.datasets import lerobot
 from server.datasets.episodes import IMAGES, MAX_GAP_S, Episode, checked_task, episodes_of
+from server.datasets.frames import EpisodeFrames, LeftOutError, Tracks, frames_of, in_lerobot_units, is_gripper
 from server.datasets.lerobot import ImageStatistics, VideoError, VideoWriter, pixels_of
 from server.datasets.samples import (
     CONTROLLER_STATE,
     JOINT_STATE,
     LEADER_TOPIC,
     STATE_TOPIC,
-    EpisodeFrames,
     JointSample,
-    LeftOutError,
     Samples,
-    Tracks,
-    frames_of,
-    in_lerobot_units,
     interventions,
-    is_gripper,
     merged,
     read_samples,
     series,

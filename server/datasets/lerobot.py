@@ -21,7 +21,8 @@ import pybase64
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from server.datasets.samples import COLOURS, EpisodeFrames
+from server.datasets.frames import EpisodeFrames
+from server.datasets.samples import COLOURS
 
 CODEC, PIXEL_FORMAT = "h264", "yuv420p"
 

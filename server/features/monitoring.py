@@ -13,8 +13,9 @@ from server.features.context import ServerContext
 from server.lifecycle import BackgroundTask, Feature
 from server.monitoring.fault_files import FaultFiles
 from server.monitoring.health import Sources
+from server.monitoring.log_ring import LogRing
 from server.monitoring.monitor import Monitor
-from server.monitoring.ros_topics import Diagnostics, LogRing, Rosout, offer_level_services
+from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_services
 from server.monitoring.servo_history import ServoHistory
 from server.monitoring.systemd import SystemdNotifier
 from server.moveit.named_states import data_directory

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from robot.messages import ArmHealth, ArmState, Mode
 from server.disk import Disk
-from server.monitoring.ros_topics import LogRing
+from server.monitoring.log_ring import LogRing
 from server.named_files import FileSeries
 
 log = logging.getLogger("armbridge.monitoring")

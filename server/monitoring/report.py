@@ -22,7 +22,8 @@ from websockets.sync.client import ClientConnection, connect
 from robot.logs import without_secrets
 from server.config import Settings
 from server.monitoring.fault_files import PREFIX
-from server.monitoring.ros_topics import JOINT_PREFIX, LAST_LINES
+from server.monitoring.log_ring import SERVICE as LOG
+from server.monitoring.ros_topics import JOINT_PREFIX
 from server.monitoring.servo_history import SERVICE as HISTORY
 from server.rosbridge_clients import CallingClient
 
@@ -211,7 +212,7 @@ class RunningServer:
             for topic, (_, type_name) in _TOPICS.items():
                 client.subscribe(topic, type_name)
             with report.part("server/log.txt"):
-                report.add("server/log.txt", client.call(LAST_LINES, {})["message"] + "\n")
+                report.add("server/log.txt", client.call(LOG, {})["message"] + "\n")
             while len(client.messages) < len(_TOPICS) and (left_s := until_s - time.monotonic()) > 0.0:
                 client.receive(left_s)
             for topic, message in client.messages.items():

@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
 from server.graph.permissions import Identity, Node, Role
 from server.graph.topics import Graph
-from server.zenoh.network import ACTION_PARTS, Network, SessionThread, SharedNames
+from server.zenoh.network import ACTION_PARTS, Network, SharedNames
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
 from server.zenoh.services import CalledServices, OfferedServices
+from server.zenoh.session import SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
 from server.zenoh.topics import IncomingTopics, OutgoingTopics
 

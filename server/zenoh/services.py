@@ -23,8 +23,9 @@ from server.graph.message_types import ReceivedMessage
 from server.graph.providers import CompleteResponse
 from server.graph.services import LOCAL_TIMEOUT_S, Response, answer
 from server.timers import call_in_loop
-from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, ReceiveQueue, SharedNames
+from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of
+from server.zenoh.session import ReceiveQueue
 
 if TYPE_CHECKING:
     import zenoh

@@ -17,8 +17,9 @@ from server.arrival import arrived_in
 from server.errors import GraphError
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.topics import Subscriber
-from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, ReceiveQueue, SharedNames
+from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of, is_name
+from server.zenoh.session import ReceiveQueue
 
 if TYPE_CHECKING:
     import zenoh

@@ -10,6 +10,7 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from server.datasets import samples as samples_module
 from server.datasets.episodes import EPISODE_TOPIC, EPISODE_TYPE, START, Episode, Mark, episodes_of, parse_mark
+from server.datasets.frames import LeftOutError, Tracks, frames_of, in_lerobot_units
 from server.datasets.lerobot import QUANTILES, ImageStatistics
 from server.datasets.marking import (
     DISCARD_SERVICE,
@@ -20,16 +21,7 @@ from server.datasets.marking import (
     STOP_SERVICE,
     EpisodeServices,
 )
-from server.datasets.samples import (
-    JointSample,
-    LeftOutError,
-    Tracks,
-    frames_of,
-    in_lerobot_units,
-    read_samples,
-    series,
-    times_s,
-)
+from server.datasets.samples import JointSample, read_samples, series, times_s
 from server.errors import RecordingError
 from server.graph.permissions import Node
 from server.graph.topics import Graph, Subscriber

@@ -19,7 +19,7 @@ from robot.logs import MAX_LINE_CHARACTERS, LogLine
 from robot.messages import ArmState, Mode
 from server.graph.topics import Graph
 from server.monitoring.fault_files import LEAST_INTERVAL_S, MAX_STATES, FaultFiles
-from server.monitoring.ros_topics import LAST_LINES, MAX_CHARACTERS, MAX_LINES, LogRing, shown
+from server.monitoring.log_ring import MAX_CHARACTERS, MAX_LINES, SERVICE, LogRing, shown
 from tests.helpers.cost import count_calls
 from tests.helpers.graph import answered
 from tests.helpers.messages import REGISTRY
@@ -93,7 +93,7 @@ async def test_the_service_tells_the_lines_with_time_level_and_process(ring: Log
     ring.offer(graph)
     ring.take(line("the arm holds", 1.5))
     told = "1970-01-01T00:00:01.500+00:00 INFO    robot.control.loop armbridge.arm: the arm holds"
-    assert answered(graph, LAST_LINES).values == {"success": True, "message": told}
+    assert answered(graph, SERVICE).values == {"success": True, "message": told}
     assert shown(line("the arm holds", 1.5)) == told
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from server.zenoh import bridge, network
+from server.zenoh import bridge, session
 
 
 @pytest.fixture(autouse=True)
@@ -13,4 +13,4 @@ def quick_refresh(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True)
 def patient_close(monkeypatch: pytest.MonkeyPatch) -> None:
     """A busy machine is no network that stands still."""
-    monkeypatch.setattr(network, "CLOSE_TIMEOUT_S", 30.0)
+    monkeypatch.setattr(session, "CLOSE_TIMEOUT_S", 30.0)

@@ -13,8 +13,9 @@ from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.zenoh import network
-from server.zenoh.network import Declaration, Network, SessionThread, SharedNames
+from server.zenoh.network import Declaration, Network, SharedNames
 from server.zenoh.rmw import LivelinessTokens
+from server.zenoh.session import SessionThread
 from tests.conformance.cases import INTERFACES
 from tests.helpers.zenoh_network import REGISTRY
 

@@ -9,8 +9,8 @@ import pytest
 import zenoh
 
 from harness.waiting import TIMEOUT_S, until
-from server.zenoh import network
-from server.zenoh.network import ReceiveQueue, SessionThread
+from server.zenoh import session as session_module
+from server.zenoh.session import ReceiveQueue, SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
 
 # The threads; sessions are real ones, none of which connects anywhere.
@@ -21,7 +21,7 @@ def open_session() -> zenoh.Session:
 
 
 @contextlib.contextmanager
-def hanging(do: Callable[[network.Job], bool]) -> Iterator[None]:
+def hanging(do: Callable[[session_module.Job], bool]) -> Iterator[None]:
     """Job that hangs for as long as the block lasts; fails where the block waited for it."""
     go_on, timed_out = threading.Event(), threading.Event()
 
@@ -78,15 +78,15 @@ def test_a_call_that_waits_for_its_machine_holds_up_neither_topics_nor_the_end(o
 
 
 def test_a_stuck_network_delays_neither_work_nor_end(opened: SessionThread, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network, "CLOSE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(session_module, "CLOSE_TIMEOUT_S", 0.05)
     with hanging(opened.submit):
-        accepted = sum(opened.submit(lambda _session: None) for _ in range(network.MAX_JOBS + 10))
+        accepted = sum(opened.submit(lambda _session: None) for _ in range(session_module.MAX_JOBS + 10))
         assert not opened.close()
-    assert network.MAX_JOBS - 1 <= accepted <= network.MAX_JOBS
+    assert session_module.MAX_JOBS - 1 <= accepted <= session_module.MAX_JOBS
 
 
 def test_a_failed_session_is_opened_again(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
-    monkeypatch.setattr(network, "RETRY_PERIOD_S", 0.01)
+    monkeypatch.setattr(session_module, "RETRY_PERIOD_S", 0.01)
     tries = iter([*[zenoh.ZError("no router at /a/line/of/zenoh")] * 2, None])
 
     def open_later() -> zenoh.Session:
@@ -104,7 +104,7 @@ def test_a_failed_session_is_opened_again(monkeypatch: pytest.MonkeyPatch, caplo
 
 
 def test_a_session_that_never_opens_does_not_hold_up_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(network, "RETRY_PERIOD_S", 10 * network.CLOSE_TIMEOUT_S)
+    monkeypatch.setattr(session_module, "RETRY_PERIOD_S", 10 * session_module.CLOSE_TIMEOUT_S)
 
     def open_never() -> zenoh.Session:
         raise zenoh.ZError("no router")
@@ -132,12 +132,12 @@ async def test_items_of_other_threads_come_to_the_loop_in_order(box: ReceiveQueu
     assert box.dropped == 0
 
 
-HALF_BYTES = network.MAX_WAITING_BYTES // 2
+HALF_BYTES = session_module.MAX_WAITING_BYTES // 2
 
 
 @pytest.mark.parametrize(
     ("count", "size_bytes", "kept"),
-    [(network.MAX_WAITING + 5, 1, network.MAX_WAITING), (3, HALF_BYTES, 2)],
+    [(session_module.MAX_WAITING + 5, 1, session_module.MAX_WAITING), (3, HALF_BYTES, 2)],
     ids=["too many", "too large"],
 )
 async def test_of_more_items_than_fit_the_newest_are_kept(
@@ -151,10 +151,10 @@ async def test_of_more_items_than_fit_the_newest_are_kept(
 
 
 async def test_a_full_inbox_lets_others_have_their_turn(box: ReceiveQueue[int], taken: list[int]) -> None:
-    for number in range(3 * network.ITEMS_AT_A_TIME):
+    for number in range(3 * session_module.ITEMS_AT_A_TIME):
         box.put(number, 1)
     await asyncio.sleep(0)
-    assert len(taken) <= network.ITEMS_AT_A_TIME
+    assert len(taken) <= session_module.ITEMS_AT_A_TIME
 
 
 def test_items_after_the_end_of_the_loop_are_dropped_silently() -> None:

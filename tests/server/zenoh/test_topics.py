@@ -14,7 +14,8 @@ from protocol.publication import PublishedMessage
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.topics import Subscriber
 from server.zenoh import topics
-from server.zenoh.network import MAX_WAITING, Network
+from server.zenoh.network import Network
+from server.zenoh.session import MAX_WAITING
 from tests.helpers.zenoh_network import RosMachine, Site, free_port, networked
 
 STRING, EMPTY = "std_msgs/msg/String", "std_msgs/msg/Empty"

@@ -173,14 +173,14 @@ class RosApi:
         }
 
     def _details_answer(self, kind: Kind, member: str) -> Handler:
-        return lambda request: self._details(request.values["type"], kind, member, request.dialect)
+        def details(request: Request) -> dict[str, Any]:
+            try:
+                message = f"{self._registry.canonical(request.values['type'], kind)}{member}"
+                return {"typedefs": typedefs(self._registry, message, request.dialect)}
+            except InterfaceError as error:
+                raise ServiceError(str(error)) from error
 
-    def _details(self, name: str, kind: Kind, member: str, dialect: Dialect) -> dict[str, Any]:
-        try:
-            message = f"{self._registry.canonical(name, kind)}{member}"
-            return {"typedefs": typedefs(self._registry, message, dialect)}
-        except InterfaceError as error:
-            raise ServiceError(str(error)) from error
+        return details
 
     def _interfaces(self, request: Request) -> dict[str, Any]:
         registry = self._registry.ros1 if request.dialect == "ros1" else self._registry

@@ -64,9 +64,7 @@ _LEVELS = {Mode.DISCONNECTED: LEVEL_ERROR, Mode.CONNECTED: LEVEL_WARN, Mode.FAUL
 class ArmStateTopics:
     """Publishes the arm's mode, fault and pace, its calibrated ranges without margin, its joints and their limits."""
 
-    def __init__(
-        self, graph: LocalGraph, robot: RobotModel, state: ArmState, calibration: Calibration | None = None
-    ) -> None:
+    def __init__(self, graph: LocalGraph, robot: RobotModel, state: ArmState, calibration: Calibration | None) -> None:
         self._ranges = {
             f"{CALIBRATED_RANGE}{each.joint}": f"{each.lower_rad:.5f} {each.upper_rad:.5f}"
             for each in (calibration.joints if calibration else ())

@@ -13,7 +13,6 @@ from robot.arm_group import AnyArm
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import refused
-from server.execution.confirmation import Confirmation
 from server.execution.executor import ExecutionContext
 from server.execution.queue import GoalQueue
 from server.graph.permissions import Node
@@ -110,7 +109,6 @@ class PlanningContext(ExecutionContext):
     forward: ForwardPlacements
     frames: Frames
     scene_state: SceneState
-    confirmation: Confirmation
     assumed: AssumedStates
     parameters: PlannerParameters
     display: DisplayTopics

@@ -100,8 +100,8 @@ class ProblemBuilder:
         """Return a planning group; the configured one for an empty name."""
         return planning_group(self.robot, name, self.parameters.configured)
 
-    def context(self, group: Group, start_rad: Positions) -> RequestContext:
-        return RequestContext(self.robot, group, self.frames, start_rad, self.parameters.of(group.name))
+    def context(self, group: Group, start_rad: Positions, planner: str = "") -> RequestContext:
+        return RequestContext(self.robot, group, self.frames, start_rad, self.parameters.of(group.name, planner))
 
     def goal_step(
         self, group: Group, goal: AnyGoal, parameters: MoveItParameters | None = None, frame: str | None = None
@@ -139,17 +139,15 @@ class ProblemBuilder:
             raise invalid("max_cartesian_speed must be a number, not nan")
         for corner in ("min_corner", "max_corner"):
             check_finite(request["workspace_parameters"][corner], f"workspace_parameters.{corner}")
-        group = self.group(request["group_name"])
-        parameters = self.parameters.of(group.name, request["planner_id"])
-        context = RequestContext(self.robot, group, self.frames, start_rad, parameters)
-        warnings = context.warnings
+        context = self.context(self.group(request["group_name"]), start_rad, request["planner_id"])
+        parameters, warnings = context.parameters, context.warnings
         arc = request["path_constraints"]
         constraints = Constraints() if _names_arc(arc) else read_path_constraints(arc, context)
         velocity_scaling, acceleration_scaling = self._scalings(request, context)
         time, attempts = parameters.allowed_planning_time, parameters.num_planning_attempts
         allowed_time_s = _limited(request, "allowed_planning_time", MAX_ALLOWED_PLANNING_TIME_S, time, " s", warnings)
         problem = PlanningProblem(
-            group=group.name,
+            group=context.group.name,
             start_rad=start_rad,
             goal=read_goal(request["goal_constraints"], context),
             velocity_scaling=velocity_scaling,

@@ -92,7 +92,7 @@ class SceneState(CurrentScene):
 
         def change(draft: SceneDraft) -> None:
             draft.objects = {}
-            apply_world(draft, message, "world")
+            apply_world(draft, message)
 
         return SceneChange(change, _elements(message["collision_objects"]))
 

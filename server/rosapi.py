@@ -21,8 +21,6 @@ from server.graph.providers import CompleteResponse
 from server.graph.services import Call, failure_told
 from server.graph.topics import Graph
 
-NODE = Node("rosapi")
-
 # Answers of get_ros_version, by the client's dialect. Clients look releases up in lists of their own; these are in all.
 ROS_VERSIONS: Mapping[Dialect, dict[str, Any]] = {
     "ros2": {"version": 2, "distro": "jazzy"},
@@ -92,10 +90,11 @@ class RosApi:
         self._services = graph.services
         self._registry = graph.message_types.registry
         handlers = self._of_topics() | self._of_services() | self._of_types() | self.parameters.handlers
+        node = graph.node("rosapi")
         for name, handler in handlers.items():
             rule = CONFIGURING if name in CHANGING else LOOKING
             type_name = TYPES.get(name) or f"rosapi_msgs/srv/{name.title().replace('_', '')}"
-            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
+            node.offer_calls(f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
 
     def _of_topics(self) -> Handlers:
         graph, topics = self._graph, self._graph.topic_names

@@ -10,7 +10,6 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.arm_group import AnyArm
-from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import refused
 from server.execution.executor import ExecutionContext
@@ -106,7 +105,6 @@ class PlanningStart:
 class PlanningContext(ExecutionContext):
     """All that services and actions plan with."""
 
-    forward: ForwardPlacements
     frames: Frames
     scene_state: SceneState
     assumed: AssumedStates

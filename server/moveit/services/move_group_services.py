@@ -27,7 +27,7 @@ from server.graph.providers import CompleteResponse
 from server.graph.services import Answered, Call, answer
 from server.graph.topics import Graph
 from server.moveit.goals.goal_topics import with_suggestion
-from server.moveit.messages import Message, error_code, pose_of, success, write_pose
+from server.moveit.messages import Message, error_code, success, write_pose
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.requests.constraints import known_link, read_path_constraints
 from server.moveit.requests.planning_context import PlanningContext
@@ -85,12 +85,12 @@ def compute_fk(context: PlanningContext, request: Message, caller: Node) -> dict
     names = request["fk_link_names"] or list(context.robot.links)
     frame_id = request["header"]["frame_id"] or context.robot.root_link
     frame = context.frames.resolve(frame_id, positions_rad)
-    transforms = context.forward.transforms(positions_rad)
+    links = context.scene_state.links(positions_rad)
     header = {"stamp": Stamp(0, 0).as_message(), "frame_id": frame_id}
     poses: dict[str, Message] = {}
     for name in dict.fromkeys(names):
-        transform = transforms[known_link(context.robot, name)]
-        poses[name] = {"header": header, "pose": write_pose(seen_from(frame, pose_of(transform)))}
+        pose = links.pose(known_link(context.robot, name))
+        poses[name] = {"header": header, "pose": write_pose(seen_from(frame, pose))}
     return {"pose_stamped": [poses[name] for name in names], "fk_link_names": names, "error_code": success()}
 
 

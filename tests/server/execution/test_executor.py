@@ -95,7 +95,7 @@ class Stage(CurrentScene):
 
     def executing(self, **parts: Any) -> GoalExecutor:
         """An executor in the time of the stage."""
-        current = CurrentState(self.arm, so101())
+        current = CurrentState(self.arm)
         gate = Confirmation(Graph(REGISTRY), enabled=False, timeout_s=TIMEOUT_S)
         context = ExecutionContext(so101(), cast("Planners", self), self, current, gate, self.clock, **parts)
         return GoalExecutor(self.arm.as_arm, context, self.in_progress)

@@ -54,7 +54,7 @@ def run() -> None:
 async def _measure() -> None:
     robot, graph, client = built_in("so101").model, Graph(Registry.load()), Node("client", remote=True)
     arm = _StandingArm(tuple(joint.name for joint in robot.movable_joints))
-    current = CurrentState(cast(Arm, arm), robot)
+    current = CurrentState(cast(Arm, arm))
     scene = SceneInterface(graph, SceneState(robot), AssumedStates(robot), current, MoveItParameters())
 
     def call(service: str, request: bytes) -> bytes:

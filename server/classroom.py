@@ -285,9 +285,7 @@ QUESTIONS = 2
 READY_TIMEOUT_S = 0.3
 
 
-def run_classroom(
-    settings: Settings, count: int, planners: int, folder: Path, with_physics: Collection[str] = ()
-) -> None:
+def run_classroom(settings: Settings, count: int, planners: int, folder: Path, with_physics: Collection[str]) -> None:
     """Run a classroom of ``count`` students until a signal; some, by their names, have physics.
 
     Raises ConfigurationError for settings, StartError for a port or the folder.

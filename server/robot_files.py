@@ -42,10 +42,6 @@ class RobotFiles:
             directory, _within(directory.resolve(), self._package, name), name, f"{_PACKAGE}{self._package}/"
         )
 
-    def read(self, name: str) -> bytes:
-        """Return the content of a file, named as for :meth:`find`; raises ServiceError or OSError."""
-        return self.find(name).read_bytes()
-
     @cached_property
     def _mesh_folders(self) -> dict[str, Path]:
         """The folders of meshes that the URDF names by package URLs, by their own URL."""

@@ -21,8 +21,6 @@ from server.graph.providers import CompleteResponse
 from server.graph.services import Call, failure_told
 from server.graph.topics import Graph
 
-NODE = Node("rosapi")
-
 # Answers of get_ros_version, by the client's dialect. Clients look releases up in lists of their own; these are in all.
 ROS_VERSIONS: Mapping[Dialect, dict[str, Any]] = {
     "ros2": {"version": 2, "distro": "jazzy"},
@@ -92,10 +90,11 @@ class RosApi:
         self._services = graph.services
         self._registry = graph.message_types.registry
         handlers = self._of_topics() | self._of_services() | self._of_types() | self.parameters.handlers
+        node = graph.node("rosapi")
         for name, handler in handlers.items():
             rule = CONFIGURING if name in CHANGING else LOOKING
             type_name = TYPES.get(name) or f"rosapi_msgs/srv/{name.title().replace('_', '')}"
-            self._services.offer_calls(NODE, f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
+            node.offer_calls(f"/rosapi/{name}", type_name, _responder(handler), rule=rule)
 
     def _of_topics(self) -> Handlers:
         graph, topics = self._graph, self._graph.topic_names
@@ -173,14 +172,14 @@ class RosApi:
         }
 
     def _details_answer(self, kind: Kind, member: str) -> Handler:
-        return lambda request: self._details(request.values["type"], kind, member, request.dialect)
+        def details(request: Request) -> dict[str, Any]:
+            try:
+                message = f"{self._registry.canonical(request.values['type'], kind)}{member}"
+                return {"typedefs": typedefs(self._registry, message, request.dialect)}
+            except InterfaceError as error:
+                raise ServiceError(str(error)) from error
 
-    def _details(self, name: str, kind: Kind, member: str, dialect: Dialect) -> dict[str, Any]:
-        try:
-            message = f"{self._registry.canonical(name, kind)}{member}"
-            return {"typedefs": typedefs(self._registry, message, dialect)}
-        except InterfaceError as error:
-            raise ServiceError(str(error)) from error
+        return details
 
     def _interfaces(self, request: Request) -> dict[str, Any]:
         registry = self._registry.ros1 if request.dialect == "ros1" else self._registry

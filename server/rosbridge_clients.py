@@ -87,8 +87,6 @@ class PublishedTopic:
 class PublishingClient(ABC):
     """Client of a server that publishes messages of one type."""
 
-    finite = False  # True if the messages end of themselves
-
     def __init__(self, target: PublishedTopic, type_name: str, tell: Callable[[str], None]) -> None:
         self.published = 0
         self._target = target

@@ -6,7 +6,6 @@ import contextlib
 import hmac
 import logging
 import stat
-import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from hashlib import sha256
@@ -90,7 +89,7 @@ class Tokens:
 class AuthThrottle:
     """Throttle of clients that guess: counts wrong tokens by the address that they came from."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, clock: Callable[[], float]) -> None:
         self._clock = clock
         # Hashes of what was wrong, and the time at which they are forgotten; the address that erred last at the end.
         self._wrong: OrderedDict[str, tuple[set[int], float]] = OrderedDict()

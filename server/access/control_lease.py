@@ -39,7 +39,7 @@ class ControlLease:
         policy: Policy,
         idle_s: float,
         wall_clock: Callable[[], float],
-        busy: Callable[[], RunningGoal | None] = lambda: None,
+        busy: Callable[[], RunningGoal | None],
         namespace: str = "",
         *,
         several: bool = False,

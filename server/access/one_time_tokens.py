@@ -10,7 +10,7 @@ from typing import Any
 
 from server.access.authentication import Tokens, digest_of
 from server.errors import ServiceError
-from server.graph.permissions import CONFIGURING, Identity, Node, Role
+from server.graph.permissions import CONFIGURING, Identity, Role
 from server.graph.services import Call, answer
 from server.graph.topics import Graph
 
@@ -112,10 +112,7 @@ def offer_one_time_tokens(
         message = f"the token lets one connection in within {VALID_FOR_S:g} s"
         return {"success": True, "message": message, "token": token, "expires_in_s": VALID_FOR_S} | place
 
-    graph.services.offer_calls(
-        Node("one-time tokens"),
-        SERVICE,
-        SERVICE_TYPE,
-        lambda call: answer(call, lambda _request: issue(call)),
-        rule=CONFIGURING,
-    )
+    def start(call: Call) -> None:
+        answer(call, lambda _request: issue(call))
+
+    graph.node("one-time tokens").offer_calls(SERVICE, SERVICE_TYPE, start, rule=CONFIGURING)

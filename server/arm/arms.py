@@ -175,7 +175,7 @@ class JoinedBeat:
 class Arms:
     """All arms of a server, whose states go to its features; several have one together at the rate of one arm."""
 
-    def __init__(self, files: Mapping[str, ArmFiles], graph: Graph, arm_process: StartedChild | None = None) -> None:
+    def __init__(self, files: Mapping[str, ArmFiles], graph: Graph, arm_process: StartedChild | None) -> None:
         self._graph = graph
         self._features: tuple[Feature, ...] = ()
         arms = {name: self._made(name, each, arm_process) for name, each in files.items()}

@@ -93,9 +93,8 @@ class CalibrationProcedure:
                 f"{self._served.section}.zero_offset_rad still trims {', '.join(self._trims_rad)}, which was measured "
                 "with another calibration: take it out of the settings, or measure it again"
             )
-        name = "" if self._in_use else f" Name it in the settings, as {self._served.section}.calibration."
-        if not self._in_use and not self._served.name:
-            name = f" Name it in the settings, as arm.calibration or by --calibration {self._file}."
+        option = "" if self._served.name else f" or by --calibration {self._file}"
+        name = "" if self._in_use else f" Name it in the settings, as {self._served.section}.calibration{option}."
         result = (
             f"the calibration is in the servos and in {self._file}; the arm is relaxed, and uses it from now on. "
             f"Verify it before anything else moves.{name}"

@@ -149,9 +149,9 @@ class Procedure(Protocol):
 class Commissioning:
     """Services and topic of the procedures; ``make`` raises a RobotError when a procedure cannot begin."""
 
-    def __init__(self, graph: LocalGraph, make: Callable[[str, str], Procedure], ended: Ended | None = None) -> None:
+    def __init__(self, graph: LocalGraph, make: Callable[[str, str], Procedure], ended: Ended) -> None:
         self._make = make
-        self._ended = ended or Ended()
+        self._ended = ended
         self._node = graph.node("commissioning")
         self._procedure: Procedure | None = None
         self._dialogue: Dialogue | None = None

@@ -64,9 +64,7 @@ _LEVELS = {Mode.DISCONNECTED: LEVEL_ERROR, Mode.CONNECTED: LEVEL_WARN, Mode.FAUL
 class ArmStateTopics:
     """Publishes the arm's mode, fault and pace, its calibrated ranges without margin, its joints and their limits."""
 
-    def __init__(
-        self, graph: LocalGraph, robot: RobotModel, state: ArmState, calibration: Calibration | None = None
-    ) -> None:
+    def __init__(self, graph: LocalGraph, robot: RobotModel, state: ArmState, calibration: Calibration | None) -> None:
         self._ranges = {
             f"{CALIBRATED_RANGE}{each.joint}": f"{each.lower_rad:.5f} {each.upper_rad:.5f}"
             for each in (calibration.joints if calibration else ())
@@ -174,8 +172,6 @@ STOP_TIMEOUT_S = 2.0
 # The timeout is by the arm's clock, which a paused simulation stops: interval of looks at that [s].
 PAUSE_LOOK_S = 0.1
 
-ServiceFields = dict[str, Any]
-
 
 def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str], None]) -> None:
     """Offer the services that switch and stop the arm, and listen to ``/emergency_stop``.
@@ -273,7 +269,7 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
         else:
             log.warning("%s: data must be 0 to 1, a share of the planned speed, not %s", SPEED_FACTOR_TOPIC, factor)
 
-    def set_limit(request: ServiceFields) -> str:
+    def set_limit(request: dict[str, Any]) -> str:
         limit = request["speed_limit"]
         if not MIN_SPEED_LIMIT <= limit <= 1.0:
             raise ServiceError(
@@ -285,7 +281,7 @@ def offer_pace(graph: LocalGraph, arm: AnyArm) -> None:
         return f"no joint is faster than {limit:.0%} of its velocity limit"
 
     def offer(name: str, direction: PlaybackDirection, rule: Rule) -> None:
-        def change(_request: ServiceFields) -> str:
+        def change(_request: dict[str, Any]) -> str:
             if not moves(arm):
                 raise ServiceError(f"no motion is in progress: the arm is {arm.state.mode.value}")
             arm.change_pace(ChangePace(direction=direction))

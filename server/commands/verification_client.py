@@ -16,7 +16,7 @@ from server.rosbridge_clients import ANSWER_TIMEOUT_S, CallingClient, ServerLost
 POLL_S = 0.05
 
 
-def verify(url: str, token: str | None, terminal: Terminal, arm: str = "") -> ExitCode:
+def verify(url: str, token: str | None, terminal: Terminal, arm: str) -> ExitCode:
     """Have a server verify its arm, by name of one of several; raises ServerLost."""
     try:
         with connect(url, open_timeout=ANSWER_TIMEOUT_S, max_size=None) as websocket:
@@ -28,7 +28,7 @@ def verify(url: str, token: str | None, terminal: Terminal, arm: str = "") -> Ex
 class VerificationClient:
     """Client of the server's procedure."""
 
-    def __init__(self, websocket: ClientConnection, terminal: Terminal, arm: str = "") -> None:
+    def __init__(self, websocket: ClientConnection, terminal: Terminal, arm: str) -> None:
         self._client = CallingClient(websocket)
         self._terminal = terminal
         self._prefix = arm and f"/{arm}"

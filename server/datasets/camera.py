@@ -64,7 +64,7 @@ class TestPattern(ImageSource):
 
     __test__ = False
 
-    def __init__(self, width: int | None = None) -> None:
+    def __init__(self, width: int | None) -> None:
         self._width = width or TEST_WIDTH
         self._height = even(self._width * TEST_HEIGHT // TEST_WIDTH)
         columns = np.arange(self._width) * len(_BARS) // self._width

@@ -96,7 +96,7 @@ class EpisodeServices:
     and reports problems of their timing on ``/dataset/state`` and in the log.
     """
 
-    def __init__(self, graph: Graph, recording: Callable[[], bool], clock: Callable[[], float] | None = None) -> None:
+    def __init__(self, graph: Graph, recording: Callable[[], bool], clock: Callable[[], float] | None) -> None:
         self._graph = graph
         self._recording = recording
         self._clock = clock or asyncio.get_running_loop().time

@@ -21,6 +21,8 @@ APPROVE_TOPIC = "/moveit_goal_approve"
 APPROVAL_TOPIC = "/moveit_goal_approval"
 CONFIRM_MODE_SERVICE = "/moveit_goal_confirm_mode"
 
+NOTHING_WAITS = diagnostic_status(LEVEL_OK, "", "no goal waits", {})
+
 
 class Confirmation:
     """Gate between plan and motion: the arm moves when a user confirms the plan.
@@ -51,7 +53,7 @@ class Confirmation:
         self._node.subscribe(CONFIRM_TOPIC, "std_msgs/Bool", confirm, reject, rule=WORKING)
         self._node.subscribe(APPROVE_TOPIC, "std_msgs/String", approve, rule=WORKING)
         self._node.advertise(APPROVAL_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
-        self._publish_request(None, "", 0.0)
+        self._node.publish(APPROVAL_TOPIC, NOTHING_WAITS)
         self._node.offer(CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode, rule=CONFIGURING)
 
     def propose(self, goal: Goal) -> None:
@@ -67,7 +69,7 @@ class Confirmation:
         """Wait for the decision on a plan; return None to go on, else the goal's answer."""
         async with self._turn:
             self._waiting, self._decision = goal, asyncio.get_running_loop().create_future()
-            self._publish_request(goal, planned.summary, planned.duration_s)
+            self._publish_request(goal, planned)
             # Last: a client that learns of the waiting plan may decide on it at once.
             waits = f"{goal.request.client} asks for your approval" if _is_proposed(goal) else "waits to be confirmed"
             goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
@@ -80,7 +82,7 @@ class Confirmation:
                 return Answer(MoveItErrorCode.TIMED_OUT, message)
             finally:
                 self._waiting = self._decision = None
-                self._publish_request(None, "", 0.0)
+                self._node.publish(APPROVAL_TOPIC, NOTHING_WAITS)
             return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
 
     def _decide(self, topic: str, *, go: bool, goal_id: str | None = None) -> None:
@@ -94,19 +96,18 @@ class Confirmation:
         else:
             self._decision.set_result(go)
 
-    def _publish_request(self, goal: Goal | None, summary: str, duration_s: float) -> None:
-        status = diagnostic_status(LEVEL_OK, "", "no goal waits", {})
-        if goal is not None:
-            values = {
-                "client": str(goal.request.client),
-                "proposed": str(_is_proposed(goal)).lower(),
-                "summary": summary,
-                "duration_s": f"{duration_s:.2f}",
-                "timeout_s": f"{self._timeout_s:g}",
-            }
-            message = f"{goal.title} waits: {summary}"
-            status = diagnostic_status(LEVEL_OK, goal.request.source, message, values, goal.goal_id)
-        self._node.publish(APPROVAL_TOPIC, status)
+    def _publish_request(self, goal: Goal, planned: Performed) -> None:
+        values = {
+            "client": str(goal.request.client),
+            "proposed": str(_is_proposed(goal)).lower(),
+            "summary": planned.summary,
+            "duration_s": f"{planned.duration_s:.2f}",
+            "timeout_s": f"{self._timeout_s:g}",
+        }
+        message = f"{goal.title} waits: {planned.summary}"
+        self._node.publish(
+            APPROVAL_TOPIC, diagnostic_status(LEVEL_OK, goal.request.source, message, values, goal.goal_id)
+        )
 
     def _set_mode(self, request: dict[str, Any]) -> str:
         self.enabled = request["data"]

@@ -155,7 +155,7 @@ class ExecutionContext:
     pool: Planners
     scene_state: CurrentScene
     current: CurrentState
-    confirmation: Confirmation | None
+    confirmation: Confirmation
     clock: Callable[[], float]
     time_limits: TimeLimits = field(default_factory=TimeLimits)
     show: Callable[[Performed], None] = lambda _performed: None  # called with every plan before it is executed
@@ -403,8 +403,6 @@ class GoalExecutor:
         asyncio.get_running_loop().call_soon(self._context.show, planned)
 
     async def _confirmed(self, goal: Goal, planned: Performed) -> Answer | None:
-        if self._context.confirmation is None:
-            return None
         answer = await goal.unless_cancelled(self._context.confirmation.wait(goal, planned))
         goal.check("before the motion began")
         return None if answer is None else replace(answer, performed=planned)

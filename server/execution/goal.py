@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import math
-import time
 from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -59,7 +58,7 @@ class ArmStopwatch:
     once, also the time before the arm got its order.
     """
 
-    def __init__(self, arm: AnyArm, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, arm: AnyArm, clock: Callable[[], float]) -> None:
         self._arm = arm
         self._clock = clock
         self._began_s, self._began_by_arm_s = clock(), arm.clock_s

@@ -7,7 +7,6 @@ from planners.problem import MoveItErrorCode
 from planners.scene import EMPTY_SCENE
 from protocol.messages import Stamp
 from robot.arm_group import AnyArm, ArmGroup, states_of
-from robot.description.model import RobotModel
 from robot.messages import Mode
 from server.errors import refused
 
@@ -22,9 +21,8 @@ ARM_START_TIMEOUT_S = 60.0
 class CurrentState:
     """Current joint positions."""
 
-    def __init__(self, arm: AnyArm, robot: RobotModel) -> None:
+    def __init__(self, arm: AnyArm) -> None:
         self._arm = arm
-        self._frame = robot.root_link
 
     def positions_rad(self) -> dict[str, float] | None:
         """Return the position of every movable joint [rad]; None while they are unknown.
@@ -45,10 +43,6 @@ class CurrentState:
     def stamp_s(self) -> float:
         """Time of the latest state [s since the epoch]; of the arm's clock where that is faster than the machine's."""
         return self._arm.state.stamp_s
-
-    def message(self) -> dict[str, Any]:
-        """Return them as a moveit_msgs/RobotState without attached objects; without joints while they are unknown."""
-        return state_message(self.positions_rad() or {}, self._frame, self.stamp_s)
 
 
 def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -> dict[str, Any]:

@@ -83,10 +83,9 @@ class CommissioningOfArms(Feature):
         folder = data_directory(os.environ) / "verified_calibrations"
         self._first_motions = {each.name: FirstMotions(each.served, folder) for each in context.arms}
         for each in context.arms:
-            before = recalibrated is not None and recalibrated.arm == each.name
-            ended = recalibrated.ended if recalibrated is not None and before else None
-            if ended is None and (advice := self._first_motions[each.name].advice):
-                ended = Ended(advice)
+            ended = Ended(self._first_motions[each.name].advice)
+            if recalibrated is not None and recalibrated.arm == each.name:
+                ended = recalibrated.ended
             self._of_arms[each.name] = Commissioning(each.graph, functools.partial(self._begin, each), ended)
 
     async def start(self) -> None:

@@ -8,7 +8,6 @@ from functools import cached_property
 from planners.interface import Planners
 from robot.arm import Arm
 from robot.arm_group import AnyArm, ArmGroup
-from robot.description.forward_kinematics import ForwardPlacements
 from robot.messages import ArmState
 from server.access.authorization import Access
 from server.arm.arms import ServedArm
@@ -148,10 +147,9 @@ def context_of(
     planning = PlanningContext(
         robot=robot,
         pool=pool,
-        forward=ForwardPlacements(robot),
-        frames=Frames(robot, scene),
+        frames=Frames(scene),
         scene_state=scene,
-        current=CurrentState(whole_arm.arm, robot),
+        current=CurrentState(whole_arm.arm),
         assumed=AssumedStates(robot),
         parameters=PlannerParameters(moveit.model_copy(update={"group_name": planning_group(robot, "", moveit).name})),
         display=display,

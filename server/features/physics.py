@@ -30,7 +30,6 @@ from server.moveit.scene.collision_objects import IDENTITY, CollisionObject, rea
 from server.moveit.scene.frames import in_root, seen_from
 from server.moveit.scene.planning_scene import SceneContents, SceneDraft
 from server.moveit.scene.saved_scene import MAX_SCENE_BYTES, complete_scene
-from server.moveit.scene.scene_state import SceneChange
 from server.named_files import SUFFIX, read_json
 
 # Ticks of one call of /simulation/step: ten seconds.
@@ -225,7 +224,7 @@ class Physics(Feature):
             draft.objects.update(objects)
 
         try:
-            self._scene.apply(SceneChange(change, 0), self._current.positions_rad())
+            self._scene.apply(change, self._current.positions_rad())
         except RefusedError as error:
             log.warning("objects of the physics cannot be moved in the scene: %s", error)
 
@@ -336,7 +335,7 @@ class Physics(Feature):
             draft.objects, draft.attached, draft.colors = dict(world.objects), {}, dict(world.colors)
 
         self._known, self._movable = {}, dict(movable)
-        self._scene.apply(SceneChange(change, 0), self._current.positions_rad())
+        self._scene.apply(change, self._current.positions_rad())
         self._follow_scene()
 
     def _reset(self, _request: dict[str, Any]) -> str:

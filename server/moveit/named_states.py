@@ -84,7 +84,7 @@ class NamedStates:
         spelled = _spelling(name, states)
         return None if spelled is None else (spelled, states[spelled])
 
-    def nearest_name(self, name: str, group: str | None = None) -> str | None:
+    def nearest_name(self, name: str, group: str) -> str | None:
         """Return the existing name most similar to a missing one, or None; as :meth:`find`."""
         by_key = {_key(known): known for known in self._of(group)}
         alike = difflib.get_close_matches(_key(name), by_key, 1, MIN_SIMILARITY)

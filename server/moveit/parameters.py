@@ -170,7 +170,7 @@ class PlannerParameters:
         self.configured = configured
         self._set: dict[tuple[str, str], dict[str, str]] = {}
 
-    def of(self, group: str = "", planner: str = "") -> MoveItParameters:
+    def of(self, group: str, planner: str = "") -> MoveItParameters:
         """Return the parameters of a planner in a group; empty names mean the configured ones.
 
         Parameters that are set for all groups, or all planners, apply where no others are set.

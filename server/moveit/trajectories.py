@@ -38,7 +38,7 @@ def read_seconds(message: Message, where: str) -> float:
     return float(message["sec"]) + nanosec / NANOSECONDS_PER_S
 
 
-def to_message(trajectory: Trajectory | None, frame: str = "") -> dict[str, Any]:
+def to_message(trajectory: Trajectory | None, frame: str) -> dict[str, Any]:
     """Write a moveit_msgs/RobotTrajectory."""
     header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
     return {

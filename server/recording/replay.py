@@ -108,7 +108,7 @@ def _next_messages(recorded: Iterator[RecordedMessage]) -> list[RecordedMessage]
 class RecordingPlayer:
     """Publishes a recording on a graph, with the recorded timing."""
 
-    def __init__(self, graph: Graph, recording: RecordingFile, rate: float = 1.0) -> None:
+    def __init__(self, graph: Graph, recording: RecordingFile, rate: float) -> None:
         self._recording = recording
         self._rate = rate
         self._node = graph.node("replay")

@@ -114,6 +114,7 @@ class Leader:
 class _Following:
     """One follower and its leader, from the call that starts it to its end; no session before the first sample."""
 
+    follower: Follower
     leader: Leader
     node: Node
     session: FollowingSession | None = None
@@ -153,12 +154,12 @@ class Teleoperation(Feature):
                 check_ready(follower.context.arm)
             except RefusedError as error:
                 raise ServiceError(f"{follower.name} cannot follow: {error}") from error
-            following = _Following(self._leader(follower, request["leader"]), Node(f"teleop of {follower.name}"))
-            self._followings[follower.name] = following
+            leader, node = self._leader(follower, request["leader"]), Node(f"teleop of {follower.name}")
+            following = self._followings[follower.name] = _Following(follower, leader, node)
             try:
-                return await self._begin(request, follower, following)
+                return await self._begin(request, following)
             except BaseException:
-                self._forget(follower, following)
+                self._forget(following)
                 raise
 
         def stop(_request: Message) -> str:
@@ -217,9 +218,9 @@ class Teleoperation(Feature):
             name, {joint.name.removeprefix(follower.prefix): joint.max_velocity for joint in joints}, self._clock
         )
 
-    async def _begin(self, request: Message, follower: Follower, following: _Following) -> str:
+    async def _begin(self, request: Message, following: _Following) -> str:
+        follower, leader = following.follower, following.leader
         self._check_not_stopped(follower)
-        leader = following.leader
         follower.context.queue.take_over(follower.context.joints, f"the leader {leader.name[:80]}")
         # The way to the leader of a following that has just ended may brake.
         await self._wait(follower, BRAKING_S, lambda: self._in_use(follower))
@@ -244,7 +245,7 @@ class Teleoperation(Feature):
             follower,
             joints,
             leader.samples,
-            functools.partial(self._show, follower, following),
+            functools.partial(self._show, following),
             functools.partial(self._show_targets, following),
         )
         following.session.start()
@@ -286,16 +287,17 @@ class Teleoperation(Feature):
             return self._followers[names[0]]
         raise ServiceError(f"follower: must be one of {', '.join(names) or 'none'}, not {name[:80]!r}")
 
-    def _forget(self, follower: Follower, following: _Following) -> None:
-        if self._followings.get(follower.name) is not following:
+    def _forget(self, following: _Following) -> None:
+        if self._followings.get(following.follower.name) is not following:
             return
-        del self._followings[follower.name]
+        del self._followings[following.follower.name]
         if following.leader.is_topic:
             self._graph.unsubscribe(following.node, following.leader.name)
 
     # Messages.
 
-    def _show(self, follower: Follower, following: _Following, state: FollowingState) -> None:
+    def _show(self, following: _Following, state: FollowingState) -> None:
+        follower = following.follower
         if state.phase is not following.phase:
             following.phase = state.phase
             log.info("teleoperation of %s: %s", follower.name, state.message or state.phase.value)
@@ -305,7 +307,7 @@ class Teleoperation(Feature):
         if follower.prefix:
             self._nodes[follower.name].publish(STATE_TOPIC, message)
         if state.phase is FollowingPhase.IDLE:
-            self._forget(follower, following)
+            self._forget(following)
 
     def _show_targets(self, following: _Following, targets_rad: Mapping[str, float]) -> None:
         """Publish the targets of all followers in one message, as ``/joint_states`` has all joints."""

@@ -110,18 +110,18 @@ def rejection(function: Callable[..., object], *arguments: object, **named: obje
 
 def current_state(position_rad: float = 0.2) -> CurrentState:
     """Return the state of an arm whose joints all are at a position."""
-    return CurrentState(FakeArm(dict.fromkeys(JOINTS, position_rad)), ROBOT)
+    return CurrentState(FakeArm(dict.fromkeys(JOINTS, position_rad)))
 
 
 SEVEN = model.parse(SEVEN_JOINT_URDF, SEVEN_JOINT_SRDF)
 TIP = "gripper_frame_link"
-FRAMES = Frames(ROBOT, SceneState(ROBOT))
+FRAMES = Frames(SceneState(ROBOT))
 BOX, SPHERE, CYLINDER, CONE = 1, 2, 3, 4
 
 
 def context(robot=ROBOT, start_rad=None, group="arm", **parameters: Any) -> RequestContext:
     start_rad = {joint.name: 0.0 for joint in robot.movable_joints} | (start_rad or {})
-    frames = FRAMES if robot is ROBOT else Frames(robot, SceneState(robot))
+    frames = FRAMES if robot is ROBOT else Frames(SceneState(robot))
     group_model = robot.groups.get(group) or next(iter(robot.groups.values()))
     return RequestContext(robot, group_model, frames, start_rad, MoveItParameters(**parameters))
 
@@ -186,10 +186,9 @@ def planning_of(
     return PlanningContext(
         robot=robot,
         pool=pool,
-        forward=ForwardPlacements(robot),
-        frames=Frames(robot, scene),
+        frames=Frames(scene),
         scene_state=scene,
-        current=CurrentState(arm, robot),
+        current=CurrentState(arm),
         assumed=AssumedStates(robot),
         parameters=PlannerParameters(MoveItParameters(**parameters)),
         display=DisplayTopics(graph, robot),

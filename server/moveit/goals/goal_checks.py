@@ -124,7 +124,8 @@ def goal_check(
         return _refused(answer)
     end_rad, angle_rad = answer.positions_rad[0], 0.0
     if desired is not None:
-        turn = planning.forward.transforms(end_rad)[tip][:3, :3].T @ matrix_of(desired)[:3, :3]
+        found = planning.scene_state.links(end_rad).pose(tip)
+        turn = matrix_of(found)[:3, :3].T @ matrix_of(desired)[:3, :3]
         angle_rad = math.acos(float(np.clip((np.trace(turn) - 1.0) / 2.0, -1.0, 1.0)))
     parameters = planning.parameters.configured
     # The slowest joint's, when nothing is in the way.

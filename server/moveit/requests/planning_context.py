@@ -10,10 +10,8 @@ from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Scene
 from planners.servo.question import ServoAnswer, ServoQuestion
 from robot.arm_group import AnyArm
-from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.model import RobotModel
 from server.errors import refused
-from server.execution.confirmation import Confirmation
 from server.execution.executor import ExecutionContext
 from server.execution.queue import GoalQueue
 from server.graph.permissions import Node
@@ -107,10 +105,8 @@ class PlanningStart:
 class PlanningContext(ExecutionContext):
     """All that services and actions plan with."""
 
-    forward: ForwardPlacements
     frames: Frames
     scene_state: SceneState
-    confirmation: Confirmation
     assumed: AssumedStates
     parameters: PlannerParameters
     display: DisplayTopics

@@ -100,8 +100,8 @@ class ProblemBuilder:
         """Return a planning group; the configured one for an empty name."""
         return planning_group(self.robot, name, self.parameters.configured)
 
-    def context(self, group: Group, start_rad: Positions) -> RequestContext:
-        return RequestContext(self.robot, group, self.frames, start_rad, self.parameters.of(group.name))
+    def context(self, group: Group, start_rad: Positions, planner: str = "") -> RequestContext:
+        return RequestContext(self.robot, group, self.frames, start_rad, self.parameters.of(group.name, planner))
 
     def goal_step(
         self, group: Group, goal: AnyGoal, parameters: MoveItParameters | None = None, frame: str | None = None
@@ -134,22 +134,19 @@ class ProblemBuilder:
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
         """Build the problem of a moveit_msgs/MotionPlanRequest; its start state is read before."""
         pipeline = check_pipeline(request["pipeline_id"])
-        # Refuse values that are no numbers in fields that have no effect, or not always one.
-        if math.isnan(request["max_cartesian_speed"]):
-            raise invalid("max_cartesian_speed must be a number, not nan")
+        # Values that are no numbers are refused also in fields that have no effect, or not always one.
+        tip_speed_m_s = _tip_speed_m_s(request)
         for corner in ("min_corner", "max_corner"):
             check_finite(request["workspace_parameters"][corner], f"workspace_parameters.{corner}")
-        group = self.group(request["group_name"])
-        parameters = self.parameters.of(group.name, request["planner_id"])
-        context = RequestContext(self.robot, group, self.frames, start_rad, parameters)
-        warnings = context.warnings
+        context = self.context(self.group(request["group_name"]), start_rad, request["planner_id"])
+        parameters, warnings = context.parameters, context.warnings
         arc = request["path_constraints"]
         constraints = Constraints() if _names_arc(arc) else read_path_constraints(arc, context)
         velocity_scaling, acceleration_scaling = self._scalings(request, context)
         time, attempts = parameters.allowed_planning_time, parameters.num_planning_attempts
         allowed_time_s = _limited(request, "allowed_planning_time", MAX_ALLOWED_PLANNING_TIME_S, time, " s", warnings)
         problem = PlanningProblem(
-            group=group.name,
+            group=context.group.name,
             start_rad=start_rad,
             goal=read_goal(request["goal_constraints"], context),
             velocity_scaling=velocity_scaling,
@@ -161,10 +158,10 @@ class ProblemBuilder:
             optimization_time_s=parameters.shortening_time_s(allowed_time_s),
         )
         planner = _pilz_planner(request["planner_id"]) if pipeline == PILZ else POINT_TO_POINT
-        warnings += _ignored_fields(request, planner)
+        warnings += _ignored_fields(request, tip_speed_m_s, planner)
         if planner == POINT_TO_POINT:
             return BuiltProblem(problem, tuple(warnings))
-        tip = tip_problem(planner, problem, arc, request["max_cartesian_speed"], context)
+        tip = tip_problem(planner, problem, arc, tip_speed_m_s, context)
         return BuiltProblem(tip, tuple(warnings))
 
     def _scalings(self, request: Message, context: RequestContext) -> tuple[float, float]:
@@ -203,16 +200,20 @@ class ProblemBuilder:
         ends = [context.placed(frame, pose, f"waypoints[{i}]") for i, pose in enumerate(request["waypoints"])]
         constraints = read_path_constraints(request["path_constraints"], context)
         velocity_scaling, acceleration_scaling = self._scalings(request, context)
+        link, tip_speed_m_s = context.link(request["link_name"]), _tip_speed_m_s(request)
+        limited = request["cartesian_speed_limited_link"]
+        if tip_speed_m_s is not None and limited not in ("", link):
+            context.warnings.append(f"max_cartesian_speed is kept by the link that follows the path, not by {limited}")
         problem = CartesianProblem(
             group=context.group.name,
             start_rad=start_rad,
-            link=context.link(request["link_name"]),
+            link=link,
             segments=tuple(Line(end) for end in ends),
             keep_orientation=chooses_orientation(context.group),
             max_step_m=max_step_m,
             # As in MoveIt, a threshold below 0 is none; the planners refuse NaN.
             max_joint_step_rad=max(request["revolute_jump_threshold"], 0.0),
-            tip_speed_m_s=_tip_speed_m_s(request, context),
+            tip_speed_m_s=tip_speed_m_s,
             avoid_collisions=request["avoid_collisions"],
             velocity_scaling=velocity_scaling,
             acceleration_scaling=acceleration_scaling,
@@ -290,7 +291,7 @@ def _scaling(request: Message, field: str, default: float, context: RequestConte
 
 
 def tip_problem(
-    planner: str, problem: PlanningProblem, arc: Message, tip_speed: float, context: RequestContext
+    planner: str, problem: PlanningProblem, arc: Message, tip_speed_m_s: float | None, context: RequestContext
 ) -> CartesianProblem:
     """Build the problem of a request for Pilz's ``LIN`` or ``CIRC``."""
     link, end, tolerance_rad = _tip_end(problem, context)
@@ -302,7 +303,7 @@ def tip_problem(
         segments=(segment,),
         keep_orientation=tolerance_rad is not None,
         orientation_tolerance_rad=tolerance_rad or math.pi,
-        tip_speed_m_s=tip_speed if tip_speed > 0.0 else None,
+        tip_speed_m_s=tip_speed_m_s,
         velocity_scaling=problem.velocity_scaling,
         acceleration_scaling=problem.acceleration_scaling,
         allowed_time_s=problem.allowed_time_s,
@@ -384,27 +385,23 @@ def _pilz_planner(requested: str) -> str:
     return name
 
 
-def _ignored_fields(request: Message, planner: str) -> list[str]:
+def _ignored_fields(request: Message, tip_speed_m_s: float | None, planner: str) -> list[str]:
     ignored = []
     if request["trajectory_constraints"]["constraints"]:
         ignored.append("trajectory_constraints is ignored")
     if request["reference_trajectories"]:
         ignored.append("reference_trajectories is ignored")
-    if request["max_cartesian_speed"] > 0.0 and planner == POINT_TO_POINT:
+    if tip_speed_m_s is not None and planner == POINT_TO_POINT:
         ignored.append("max_cartesian_speed is ignored: scale the velocity, or plan a path of the tip")
     return ignored
 
 
-def _tip_speed_m_s(request: Message, context: RequestContext) -> float | None:
+def _tip_speed_m_s(request: Message) -> float | None:
     """Read the greatest speed of the tip [m/s]; None for as fast as the joints allow."""
-    value, link = float(request["max_cartesian_speed"]), request["cartesian_speed_limited_link"]
+    value = float(request["max_cartesian_speed"])
     if math.isnan(value):
         raise invalid("max_cartesian_speed must be a number, not nan")
-    if value <= 0.0:
-        return None
-    if link and link != context.link(request["link_name"]):
-        context.warnings.append(f"max_cartesian_speed is kept by the link that follows the path, not by {link}")
-    return value
+    return value if value > 0.0 else None
 
 
 def _ik_goal(request: Message, context: RequestContext) -> AnyGoal:

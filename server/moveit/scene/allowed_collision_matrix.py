@@ -16,6 +16,8 @@ from server.moveit.messages import Message
 
 Pair = frozenset[str]
 
+FIELD = "allowed_collision_matrix"
+
 # The matrix has the square of this many entries. MoveIt names links and attached objects in it, some dozens.
 MAX_NAMES = 200
 
@@ -72,7 +74,7 @@ class AllowedCollisionMatrix:
         count = len(self.allowed ^ disabled) + len(self.defaults) * len(known)
         if count > MAX_EXCEPTIONS:
             raise invalid(
-                f"allowed_collision_matrix has {count} pairs, with its default entries for {len(known)} links"
+                f"{FIELD} has {count} pairs, with its default entries for {len(known)} links"
                 f" and objects; the limit is {MAX_EXCEPTIONS}"
             )
         exceptions = dict.fromkeys(self.allowed - disabled, True)
@@ -88,18 +90,18 @@ class AllowedCollisionMatrix:
         return exceptions
 
 
-def read_allowed_collision_matrix(message: Message, where: str) -> AllowedCollisionMatrix:
+def read_allowed_collision_matrix(message: Message) -> AllowedCollisionMatrix:
     """Read a moveit_msgs/AllowedCollisionMatrix; only entries above the diagonal count, as in MoveIt."""
     names, rows = message["entry_names"], [entry["enabled"] for entry in message["entry_values"]]
     if len(names) > MAX_NAMES:
-        raise invalid(f"{where}.entry_names has {len(names)} entries, more than {MAX_NAMES}")
+        raise invalid(f"{FIELD}.entry_names has {len(names)} entries, more than {MAX_NAMES}")
     if len(rows) != len(names) or any(len(row) != len(names) for row in rows):
-        raise invalid(f"{where}.entry_values must be {len(names)} rows of {len(names)} values, one for each name")
+        raise invalid(f"{FIELD}.entry_values must be {len(names)} rows of {len(names)} values, one for each name")
     if len(set(names)) != len(names) or "" in names:
-        raise invalid(f"{where}.entry_names has a name twice or an empty one")
+        raise invalid(f"{FIELD}.entry_names has a name twice or an empty one")
     defaults = message["default_entry_names"], message["default_entry_values"]
     if len(defaults[0]) != len(defaults[1]) or len(defaults[0]) > MAX_NAMES:
-        raise invalid(f"{where}: {len(defaults[0])} default_entry_names, {len(defaults[1])} default_entry_values")
+        raise invalid(f"{FIELD}: {len(defaults[0])} default_entry_names, {len(defaults[1])} default_entry_values")
     pairs = itertools.combinations(names, 2)
     above = np.array(rows, dtype=bool).reshape(len(names), len(names))[np.triu_indices(len(names), 1)]
     allowed = frozenset(frozenset(pair) for pair in itertools.compress(pairs, above.tolist()))

@@ -56,9 +56,7 @@ class LinkTransforms:
 class Frames:
     """Look-up of frames in the present scene."""
 
-    def __init__(self, robot: RobotModel, scene_state: SceneState) -> None:
-        self._robot = robot
-        self._forward = ForwardPlacements(robot)
+    def __init__(self, scene_state: SceneState) -> None:
         self._state = scene_state
         # The many poses of one request are in the same frame mostly: a scene, joint positions, and poses by name there.
         # Replaced as a whole, because threads read requests too.
@@ -72,8 +70,7 @@ class Frames:
             resolved = self._resolved = contents, known, {}
         poses = resolved[2]
         if frame_id not in poses:
-            links = LinkTransforms(self._robot, self._forward, positions_rad)
-            poses[frame_id] = find_frame(frame_id, contents, links)
+            poses[frame_id] = find_frame(frame_id, contents, self._state.links(positions_rad))
         return poses[frame_id]
 
 

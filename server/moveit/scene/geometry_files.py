@@ -145,8 +145,8 @@ class _Lines:
 def _read_object(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
     has_pose = len(lines.peek().split()) > 1
     pose = _read_pose(lines) if has_pose else write_pose(IDENTITY)
-    geometry: dict[str, list[Any]] = {"primitives": [], "meshes": [], "planes": []}
-    poses: dict[str, list[Any]] = {"primitives": [], "meshes": [], "planes": []}
+    poses_of = {field: poses for field, poses, _ in shapes.GEOMETRY_KINDS}
+    geometry: dict[str, list[Any]] = {name: [] for names in poses_of.items() for name in names}
     (count,) = lines.counts(1, "the number of shapes")
     for _ in range(count):
         kind = lines.next("a kind of shape")
@@ -154,7 +154,7 @@ def _read_object(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
             raise lines.wrong(f"one of {', '.join(_READERS)}")
         field, read = _READERS[kind]
         geometry[field].append(read(lines))
-        poses[field].append(_read_pose(lines))
+        geometry[poses_of[field]].append(_read_pose(lines))
         lines.figures(4, "a colour r g b a")
     subframes = {}
     for _ in range(lines.counts(1, "the number of subframes")[0] if has_pose else 0):
@@ -165,9 +165,6 @@ def _read_object(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
         "id": name,
         "pose": pose,
         **geometry,
-        "primitive_poses": poses["primitives"],
-        "mesh_poses": poses["meshes"],
-        "plane_poses": poses["planes"],
         "subframe_names": list(subframes),
         "subframe_poses": list(subframes.values()),
         "operation": ADD,

@@ -225,7 +225,8 @@ class MonitoredScenePublisher:
             self._latch()
 
     def _latch(self) -> None:
-        state = self._current.message()
+        positions_rad = self._current.positions_rad() or {}
+        state = state_message(positions_rad, self._state.robot.root_link, self._current.stamp_s)
         self._graph.latch(
             MONITORED_TOPIC, scene_message(self._published, self._state.robot, state, EVERYTHING), prevalidated=True
         )

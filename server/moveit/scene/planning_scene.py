@@ -314,7 +314,7 @@ def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: Allow
     matrix = scene["allowed_collision_matrix"]
     # A matrix without names is a field that the client has left out.
     if (matrix["entry_names"] or matrix["default_entry_names"]) and matrix != draft.allowed_collisions.message:
-        draft.allowed_collisions = read_allowed_collision_matrix(matrix, "allowed_collision_matrix")
+        draft.allowed_collisions = read_allowed_collision_matrix(matrix)
     _apply_link_values(draft, draft.padding_m, scene, "padding", NO_PADDING_M)
     _apply_link_values(draft, draft.scale, scene, "scale", NO_SCALE)
     for i, entry in enumerate(scene["object_colors"]):
@@ -323,17 +323,17 @@ def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: Allow
         draft.colors[entry["id"]] = entry["color"]
     if len(draft.colors) > MAX_COLORS:
         raise invalid(f"object_colors would name {len(draft.colors)} objects, more than {MAX_COLORS}")
-    apply_world(draft, scene["world"], "world")
+    apply_world(draft, scene["world"])
 
 
-def apply_world(draft: SceneDraft, world: Message, where: str) -> None:
+def apply_world(draft: SceneDraft, world: Message) -> None:
     if world["octomap"]["octomap"]["data"]:
-        text = f"{where}.octomap must be empty: contacts with an octomap are not checked; give boxes or a mesh instead"
-        raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, text, field=f"{where}.octomap")
+        text = "world.octomap must be empty: contacts with an octomap are not checked; give boxes or a mesh instead"
+        raise refused(MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE, text, field="world.octomap")
     objects = world["collision_objects"]
-    _check_shape_count(objects, where)
+    _check_shape_count(objects, "world")
     for i, each in enumerate(objects):
-        apply_collision_object(draft, each, f"{where}.collision_objects[{i}]")
+        apply_collision_object(draft, each, f"world.collision_objects[{i}]")
 
 
 def _apply_attached_objects(draft: SceneDraft, robot_state: Message, *, whole: bool) -> None:

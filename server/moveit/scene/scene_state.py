@@ -42,11 +42,14 @@ OBJECT_ELEMENTS = 20
 MAX_WAITING_ELEMENTS = 1_000_000
 
 
+DraftChange = Callable[[SceneDraft], None]
+
+
 @dataclass(frozen=True)
 class SceneChange:
     """A change of the scene by a message, with the number of the elements in the message that take time."""
 
-    apply: Callable[[SceneDraft], None]
+    apply: DraftChange
     elements: int
 
 
@@ -78,6 +81,9 @@ class SceneState(CurrentScene):
         self.frame = robot.root_link
         self.contents = SceneContents(self._srdf_matrix)  # contents of the scene; another object after every change
 
+    def links(self, positions_rad: OptionalPositions) -> LinkTransforms:
+        return LinkTransforms(self.robot, self._forward, positions_rad)
+
     def diff(self, message: Message) -> SceneChange:
         """Return the change by a moveit_msgs/PlanningScene: a diff, or a whole scene if its ``is_diff`` is false."""
         scene = {**EMPTY_DIFF, **message}
@@ -92,7 +98,7 @@ class SceneState(CurrentScene):
 
         def change(draft: SceneDraft) -> None:
             draft.objects = {}
-            apply_world(draft, message, "world")
+            apply_world(draft, message)
 
         return SceneChange(change, _elements(message["collision_objects"]))
 
@@ -109,7 +115,7 @@ class SceneState(CurrentScene):
         """Apply a change in its turn, at once if it is small and none waits; refuse it if its request has ``ended``."""
         if self._applying is None and change.elements <= AT_ONCE_ELEMENTS:
             try:
-                self.apply(change, positions_rad)
+                self.apply(change.apply, positions_rad)
             except RefusedError as refusal:
                 done(refusal)
             else:
@@ -155,9 +161,9 @@ class SceneState(CurrentScene):
 
     def apply_diff(self, message: Message, positions_rad: OptionalPositions) -> None:
         """Apply a moveit_msgs/PlanningScene now, ahead of changes that wait."""
-        self.apply(self.diff(message), positions_rad)
+        self.apply(lambda draft: self._apply_scene(draft, message), positions_rad)
 
-    def apply(self, change: SceneChange, positions_rad: OptionalPositions) -> None:
+    def apply(self, change: DraftChange, positions_rad: OptionalPositions) -> None:
         """Apply a change now, ahead of those that wait."""
         self._commit(*self._changed(self.contents, change, positions_rad))
 
@@ -166,8 +172,8 @@ class SceneState(CurrentScene):
 
         Fields of the message may be left out.
         """
-        change = SceneChange(lambda draft: self._apply_scene(draft, message), 0)
-        return self._changed(self.contents, change, positions_rad)[1] or self.scene
+        changed = self._changed(self.contents, lambda draft: self._apply_scene(draft, message), positions_rad)
+        return changed[1] or self.scene
 
     def _apply_scene(self, draft: SceneDraft, message: Message) -> None:
         model = message.get("robot_model_name", "")
@@ -192,7 +198,9 @@ class SceneState(CurrentScene):
         try:
             while not ended():
                 before = self.contents
-                contents, scene = await asyncio.to_thread(self._changed_and_written, before, change, positions_rad)
+                contents, scene = await asyncio.to_thread(
+                    self._changed_and_written, before, change.apply, positions_rad
+                )
                 if self.contents is before and not ended():
                     self._commit(contents, scene)
                     return None
@@ -204,7 +212,7 @@ class SceneState(CurrentScene):
         return refused(MoveItErrorCode.TIMED_OUT, "its request ended before the change was applied")
 
     def _changed_and_written(
-        self, before: SceneContents, change: SceneChange, positions_rad: OptionalPositions
+        self, before: SceneContents, change: DraftChange, positions_rad: OptionalPositions
     ) -> tuple[SceneContents, Scene | None]:
         contents, scene = self._changed(before, change, positions_rad)
         # Written here and once, for all readers of the scene.
@@ -220,11 +228,11 @@ class SceneState(CurrentScene):
             self.changed()
 
     def _changed(
-        self, before: SceneContents, change: SceneChange, positions_rad: OptionalPositions
+        self, before: SceneContents, change: DraftChange, positions_rad: OptionalPositions
     ) -> tuple[SceneContents, Scene | None]:
         """Return changed contents, and the scene for planners unless it stays the same; called in any thread."""
-        draft = SceneDraft(before, LinkTransforms(self.robot, self._forward, positions_rad))
-        change.apply(draft)
+        draft = SceneDraft(before, self.links(positions_rad))
+        change(draft)
         contents = draft.contents()
         if contents.looks_same(before):
             return contents, None

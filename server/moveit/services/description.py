@@ -66,7 +66,7 @@ def offer_description(graph: Graph, robot: RobotModel, keep_parameter: Callable[
 
     async def get_file(request: dict[str, Any]) -> dict[str, Any]:
         name = request["name"]
-        octets = await disk.serve(name, "name: it cannot be read", lambda: files.read(name))
+        octets = await disk.serve(name, "name: it cannot be read", lambda: files.find(name).read_bytes())
         return {"value": base64.b64encode(octets).decode("ascii")}
 
     node.offer(FILE_SERVICE, "file_server/GetBinaryFile", get_file, rule=LOOKING)

@@ -28,6 +28,7 @@ from robot.control.pacing import PERIOD_S
 from robot.messages import ArmState, Mode, MotionEnded, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.execution import executor as execution
+from server.execution.confirmation import Confirmation
 from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
 from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.monitors import CurrentScene, CurrentState
@@ -41,9 +42,11 @@ from server.execution.motions import (
     Positions,
     SplicePoint,
 )
+from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import FakeArm, StubbornArm, settle
 from tests.helpers.motions import STILL, smooth_move
+from tests.helpers.moveit import REGISTRY
 from tests.helpers.robots import so101
 
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory
@@ -92,8 +95,9 @@ class Stage(CurrentScene):
 
     def executing(self, **parts: Any) -> GoalExecutor:
         """An executor in the time of the stage."""
-        current = CurrentState(self.arm, so101())
-        context = ExecutionContext(so101(), cast("Planners", self), self, current, None, self.clock, **parts)
+        current = CurrentState(self.arm)
+        gate = Confirmation(Graph(REGISTRY), enabled=False, timeout_s=TIMEOUT_S)
+        context = ExecutionContext(so101(), cast("Planners", self), self, current, gate, self.clock, **parts)
         return GoalExecutor(self.arm.as_arm, context, self.in_progress)
 
     async def ask(self, request: Any, scene: Scene) -> Any:

@@ -11,7 +11,6 @@ from robot.faults import Fault, FaultCode
 from robot.messages import ArmState, Mode
 from server.execution.monitors import CurrentState, check_ready
 from tests.helpers.moveit import rejection
-from tests.helpers.robots import so101
 
 
 @dataclass
@@ -27,7 +26,7 @@ class Read:
 def test_positions_are_those_that_the_arm_holds_and_not_those_it_droops_to() -> None:
     goal_rad, position_rad = np.array([0.3, 0.4]), np.array([0.1, 0.2])
     state = ArmState(0.0, Mode.HOLDING, ("shoulder_pan", "gripper"), position_rad=position_rad, goal_rad=goal_rad)
-    assert CurrentState(Read(state), so101()).positions_rad() == {"shoulder_pan": 0.3, "gripper": 0.4}
+    assert CurrentState(Read(state)).positions_rad() == {"shoulder_pan": 0.3, "gripper": 0.4}
 
 
 LOST, UNFIT = MoveItErrorCode.COMMUNICATION_FAILURE, MoveItErrorCode.CONTROL_FAILED

@@ -175,7 +175,7 @@ class Office:
 
     def __init__(self, states: NamedStates) -> None:
         self.graph, self.arm = Graph(REGISTRY), FakeArm(None)
-        NamedStatesServices(self.graph, ROBOT, states, CurrentState(self.arm, ROBOT))
+        NamedStatesServices(self.graph, ROBOT, states, CurrentState(self.arm))
         self.heard = listen(self.graph, NAMED_STATES_TOPIC)
 
     async def call(self, service: str, **request: Any) -> Response:

@@ -123,8 +123,8 @@ TO_POINT = PlanningProblem("arm", HOME, PositionGoal(TIP, END, 0.005), velocity_
 NO_ARC = constraints()
 
 
-def path(planner=planning_problems.STRAIGHT, problem=TO_POINT, arc=NO_ARC, tip_speed=0.0):
-    return planning_problems.tip_problem(planner, problem, arc, tip_speed, context())
+def path(planner=planning_problems.STRAIGHT, problem=TO_POINT, arc=NO_ARC):
+    return planning_problems.tip_problem(planner, problem, arc, None, context())
 
 
 def test_a_line_ends_at_the_goal_in_whatever_orientation_and_several_points_are_no_path() -> None:
@@ -140,11 +140,16 @@ def test_a_line_ends_at_the_goal_in_whatever_orientation_and_several_points_are_
     assert_refused(refused, INVALID, "one pose of one link")
 
 
-@pytest.mark.parametrize(("tip_speed", "kept"), [(0.0, None), (0.05, 0.05)])
-def test_a_strict_pose_keeps_its_orientation_and_the_speed_asked_for_on_the_way(tip_speed, kept) -> None:
+def test_a_strict_pose_keeps_its_orientation_on_the_way() -> None:
     goal = PoseGoal(TIP, Pose(END), 0.005, (0.1, 0.1, 0.2), strict=True)
-    line = path(problem=PlanningProblem("arm", HOME, goal), tip_speed=tip_speed)
-    assert (line.keep_orientation, line.orientation_tolerance_rad, line.tip_speed_m_s) == (True, 0.2, kept)
+    line = path(problem=PlanningProblem("arm", HOME, goal))
+    assert (line.keep_orientation, line.orientation_tolerance_rad) == (True, 0.2)
+
+
+@pytest.mark.parametrize(("speed", "kept"), [(0.0, None), (0.05, 0.05)])
+def test_a_line_keeps_the_speed_of_the_tip_that_its_request_names(speed: float, kept: float | None) -> None:
+    line = asked(pipeline_id=planning_problems.PILZ, planner_id="LIN", max_cartesian_speed=speed)
+    assert line.problem.tip_speed_m_s == kept
 
 
 def test_a_circle_leads_through_its_interim_point_or_the_shorter_way_around_its_center() -> None:

@@ -27,7 +27,7 @@ def matrix(names, *rows, **defaults):
         "default_entry_names": list(defaults),
         "default_entry_values": list(defaults.values()),
     }
-    return read_allowed_collision_matrix(message("AllowedCollisionMatrix", **told), "acm")
+    return read_allowed_collision_matrix(message("AllowedCollisionMatrix", **told))
 
 
 def test_the_robots_own_matrix_names_every_link_and_what_the_srdf_disables():
@@ -47,7 +47,7 @@ def test_a_matrix_is_written_as_it_was_read(values):
     for (i, j), value in zip(pairs, values, strict=True):
         rows[i][j] = rows[j][i] = value
     told = message("AllowedCollisionMatrix", entry_names=names, entry_values=[{"enabled": row} for row in rows])
-    assert read_allowed_collision_matrix(told, "acm").message == told
+    assert read_allowed_collision_matrix(told).message == told
 
 
 def test_pairs_above_the_diagonal_and_those_whose_defaults_both_allow_are_exceptions() -> None:
@@ -80,4 +80,4 @@ def test_a_matrix_that_contradicts_itself_or_has_defaults_without_values_is_refu
         with pytest.raises(RefusedError, match=words):
             matrix(names, *rows)
     with pytest.raises(RefusedError, match="1 default_entry_names, 0 default_entry_values"):
-        read_allowed_collision_matrix(message("AllowedCollisionMatrix", default_entry_names=["a"]), "acm")
+        read_allowed_collision_matrix(message("AllowedCollisionMatrix", default_entry_names=["a"]))

@@ -4,7 +4,7 @@ from planners.problem import MoveItErrorCode
 from planners.scene import Pose
 from server.moveit.scene import frames
 from server.moveit.scene.frames import MAX_NAME_LENGTH, Frames
-from tests.helpers.moveit import BENT, FORWARD, ROBOT, box, collision_object, diff, pose, rejection, scene_state
+from tests.helpers.moveit import BENT, FORWARD, box, collision_object, diff, pose, rejection, scene_state
 
 STATE = scene_state(
     collision_object(
@@ -20,7 +20,7 @@ HELD = {"link_name": "gripper_link", "object": {**TOOL, **HANDLE}}
 WALL = {"child_frame_id": "wall", "transform": {"translation": {"x": 2.0}}}
 CHANGE = diff(robot_state={"attached_collision_objects": [HELD]}, fixed_frame_transforms=[WALL])
 STATE.apply_diff(CHANGE, BENT)
-FRAMES = Frames(ROBOT, STATE)
+FRAMES = Frames(STATE)
 GRIPPER = FORWARD.transforms(BENT)["gripper_link"]
 
 
@@ -56,7 +56,7 @@ def test_frames_that_move_are_not_found_while_the_arms_position_is_unknown(name)
 
 
 def test_a_thread_that_asks_for_other_positions_meanwhile_changes_no_answer(monkeypatch):
-    look_up = Frames(ROBOT, scene_state())
+    look_up = Frames(scene_state())
     turned = {**BENT, "shoulder_pan": 1.0}
     expected = look_up.resolve("gripper_link", turned)
 

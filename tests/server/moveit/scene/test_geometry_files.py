@@ -28,7 +28,7 @@ class Files:
 async def test_a_saved_scene_is_loaded_and_its_size_bounded_both_ways(tmp_path, monkeypatch, caplog):
     files = Files(tmp_path)
     assert await files.call(geometry_files.SAVE, "kitchen.scene")
-    files.state.apply(files.state.world(message("PlanningSceneWorld")), BENT)
+    files.state.apply(files.state.world(message("PlanningSceneWorld")).apply, BENT)
     assert files.state.contents.objects == {}
     assert await files.call(geometry_files.LOAD, str(tmp_path / "kitchen.scene"))
     assert list(files.state.contents.objects) == ["cup", "pen"]

@@ -197,7 +197,7 @@ class Watched:
         self.heard = listen(graph, interface.MONITORED_TOPIC)
 
     def add(self, name, **fields):
-        self.state.apply(self.state.collision_object(collision_object(**box(name, **fields))), BENT)
+        self.state.apply(self.state.collision_object(collision_object(**box(name, **fields))).apply, BENT)
 
 
 def ids(message):

@@ -269,7 +269,7 @@ class Scenes:
 
 async def test_a_scene_comes_back_with_what_is_held_and_without_what_was_added_since(tmp_path):
     scenes = Scenes(tmp_path / "new", box("cup"), box("pen"))
-    scenes.state.apply(scenes.state.attached_object(held("pen", touch_links=("gripper_link",))), BENT)
+    scenes.state.apply(scenes.state.attached_object(held("pen", touch_links=("gripper_link",))).apply, BENT)
     assert (await scenes.call("save", name="Küche 1"))["success"]
     before = scenes.state.contents
     scenes.state.apply_diff(diff(world={"collision_objects": [box("new")]}), BENT)

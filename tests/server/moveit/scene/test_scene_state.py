@@ -125,7 +125,7 @@ def test_a_scene_for_another_robot_is_taken_with_a_warning_and_an_unknown_touch_
     with caplog.at_level(logging.WARNING, "armbridge"):
         state.apply_diff(diff(robot_model_name="panda"), BENT)
     assert "'panda'" in caplog.text
-    assert rejection(state.apply, state.attached_object(touching), BENT).code is MoveItErrorCode.INVALID_LINK_NAME
+    assert rejection(state.apply, state.attached_object(touching).apply, BENT).code is MoveItErrorCode.INVALID_LINK_NAME
 
 
 def test_a_difference_leaves_the_other_joints_a_whole_state_does_not_and_a_client_that_has_left_is_forgotten():

@@ -82,7 +82,7 @@ NO_MESHES = ["id_rsa", f"package://{PACKAGE}/id_rsa", "arm.urdf"]
 )
 def test_only_meshes_and_textures_below_the_description_are_served(files: Path, name: str, words: str) -> None:
     with pytest.raises(ServiceError, match=words):
-        files_in(files).read(name)
+        files_in(files).find(name)
 
 
 def test_files_of_packages_are_found_and_those_too_large_refused(files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -95,9 +95,9 @@ def test_files_of_packages_are_found_and_those_too_large_refused(files: Path, mo
     assert files_in(files).find("package://assets/base.stl") == files / "assets" / "base.stl"
     monkeypatch.setattr(robot_files, "MAX_FILE_BYTES", 4)
     with pytest.raises(FileTooLargeError, match="5 bytes, the limit is 4"):
-        files_in(files).read("assets/base.stl")
+        files_in(files).find("assets/base.stl")
     with pytest.raises(ServiceError, match="names no files"):
-        files_in(None).read("assets/base.stl")
+        files_in(None).find("assets/base.stl")
 
 
 def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(tmp_path: Path) -> None:
@@ -111,11 +111,11 @@ def test_files_beside_the_meshes_of_a_package_are_served_and_nothing_else_of_it(
     packaged = RobotFiles(replace(ROBOT, urdf=urdf(*meshes), mesh_directory=folder, package_directories=(tmp_path,)))
     visual = "package://arm_meshes/meshes/visual"
     for name in ("base.dae", "skin.png"):
-        assert packaged.read(f"{visual}/{name}") == name.encode()
+        assert packaged.find(f"{visual}/{name}").read_bytes() == name.encode()
     elsewhere = "package://arm_meshes/secret.stl", f"{visual}/../../secret.stl"
     for name in (*elsewhere, f"{visual}/notes.txt", "package://gone/a.stl"):
         with pytest.raises(ServiceError, match="name: "):
-            packaged.read(name)
+            packaged.find(name)
 
 
 # As roslib's clients ask by default.
@@ -133,7 +133,7 @@ class World(InProcess):
 
     def __init__(self) -> None:
         super().__init__()
-        self.republisher = description.TransformRepublisher(self.graph, Frames(ROBOT, SceneState(ROBOT)))
+        self.republisher = description.TransformRepublisher(self.graph, Frames(SceneState(ROBOT)))
 
     def move(self, elbow_rad: float, seconds: float = 1.0) -> None:
         """Have the arm be at an angle after some time."""

@@ -95,7 +95,7 @@ class Rig:
     def made(self, ask: servo_loop.Ask) -> servo_loop.ServoSession:
         """Return a session of its own with these planners."""
         frames: Any = SimpleNamespace(resolve=self._resolve)
-        context: Any = SimpleNamespace(frames=frames, current=CurrentState(self.arm, ROBOT), clock=self.clock)
+        context: Any = SimpleNamespace(frames=frames, current=CurrentState(self.arm), clock=self.clock)
         listeners = lambda *told: self.told.append(told), self.interruptions.append
         return servo_loop.ServoSession(self.arm.as_arm, self._setup, context, *listeners, ask)
 

@@ -107,84 +107,68 @@ def sinks(rig: ArmRig) -> bool:
     return rig.torque() == [0] * 6 and distance_to_rest(rig) > 0.3
 
 
-@pytest.mark.parametrize("joint", ["wrist_roll", "gripper"])
-def test_a_way_that_begins_elsewhere_is_not_played(rig: ArmRig, caplog: pytest.LogCaptureFixture, joint: str) -> None:
-    rig.execute(smooth_move({joint: (0.0, 0.3)}, 1.0))
-    rig.until(lambda: bool(rig.ended))
-    lose_server(rig)
-    assert sinks(rig)
-    assert f"planned with joint {joint} at 0.000 rad, which is at 0.300 rad" in caplog.text
+def held(position_rad: float) -> KeepParking:
+    """A way that was planned with every joint at a position."""
+    return KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, position_rad)))
 
 
-@pytest.mark.parametrize(
-    ("message", "words"),
-    [
-        (KeepParking(None), "no way to the rest pose is known"),
-        (Stream(1, ("shoulder_pan",)), "no way back"),
-        (KeepParking(way_to_rest(15.1)), "would take 15.1 s, above the limit"),
-        (KeepParking(way_to_rest(0.3)), "rad/s, above its limit of"),
-        (ChangePace(speed_factor=0.0), "the speed factor is 0"),
-        (KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, -0.011))), "(tolerance 0.01 rad)"),
-        (ChangePace(speed_factor=0.05), f"not at its rest pose after {PARKING_TIMEOUT_S:g} s"),
-    ],
-)
-def test_an_arm_that_cannot_be_parked_is_relaxed_with_the_reason(
-    rig: ArmRig, caplog: pytest.LogCaptureFixture, message: object, words: str
+STEERED, PAUSED = Stream(1, ("shoulder_pan",)), ChangePace(direction=PlaybackDirection.PAUSED)
+GRIP = Execute(2, smooth_move({"gripper": (0.0, 1.0)}, 2.0), gripping=True)
+MOVES = (Execute(1, PAN), 1.0)
+PARKS = (Shutdown(), 0.5)
+ELSEWHERE = "planned with joint {} at 0.000 rad, which is at 0.300 rad"
+NO_TIME = f"not at its rest pose after {PARKING_TIMEOUT_S:g} s"
+CHANGED = "the scene has changed since the way to the rest pose was planned; the arm is relaxed"
+# What happens: messages, waits [s], commands of the emulator and the loss of the server; and words of the log.
+UNPARKED: dict[str, tuple[tuple[Any, ...], str]] = {
+    "it has no way": ((KeepParking(None), 0.01, lose_server), "no way to the rest pose is known"),
+    "it was planned from elsewhere": ((held(-0.011), 0.01, lose_server), "(tolerance 0.01 rad)"),
+    **{
+        f"its {joint} has moved since": (
+            (Execute(1, smooth_move({joint: (0.0, 0.3)}, 1.0)), 1.5, lose_server),
+            ELSEWHERE.format(joint),
+        )
+        for joint in ("wrist_roll", "gripper")
+    },
+    "its way takes long": ((KeepParking(way_to_rest(15.1)), 0.01, lose_server), "would take 15.1 s, above the limit"),
+    "its way is too fast": ((KeepParking(way_to_rest(0.3)), 0.01, lose_server), "rad/s, above its limit of"),
+    "it stands still": ((ChangePace(speed_factor=0.0), 0.01, lose_server), "the speed factor is 0"),
+    "it is slow": ((ChangePace(speed_factor=0.05), 0.01, lose_server), NO_TIME),
+    "it is steered": ((STEERED, 0.01, lose_server), "no way back"),
+    "its motion is paused": ((*MOVES, PAUSED, 0.5, lose_server), "the motion is paused"),
+    "its motion stands still": ((*MOVES, ChangePace(speed_factor=0.0), 0.5, lose_server), "the motion is paused"),
+    "its motion is stopped": ((*MOVES, Stop(), 0.01, lose_server), "no way back"),
+    "it grips": ((*MOVES, GRIP, 0.01, lose_server), "no way back"),
+    "the scene changes on its way": ((*PARKS, KeepParking(None)), f"parking: {CHANGED}"),
+    "the server hurries": (
+        (*PARKS, Shutdown(hurry=True)),
+        "parking: the server must not wait; the arm is relaxed where",
+    ),
+    "it is stopped on its way": ((*PARKS, Stop()), "parking: the arm stands at "),
+    "it is stopped for an emergency": ((*PARKS, Command(1, Order.EMERGENCY_STOP)), "parking: the arm has a fault: "),
+    "it is hot": ((*PARKS, {"temperature": {"3": 68}}), "parking: the arm has a fault: joint elbow_flex is at 68 degC"),
+    "it was stopped before its end": ((Stop(epoch=2), Shutdown(1)), ""),
+    "it is stopped after its end was requested": ((Shutdown(1), Stop(epoch=2)), ""),
+}
+
+
+@pytest.mark.parametrize(("happens", "words"), UNPARKED.values(), ids=UNPARKED)
+def test_an_arm_that_cannot_be_parked_is_relaxed_where_it_is_and_the_reason_logged_once(
+    rig: ArmRig, caplog: pytest.LogCaptureFixture, happens: tuple[Any, ...], words: str
 ) -> None:
-    rig.supervisor.handle(message)
-    rig.tick()
-    lose_server(rig)
-    assert sinks(rig)
-    assert words in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("happens", "words"),
-    [
-        (KeepParking(None), "the scene has changed since the way to the rest pose was planned; the arm is relaxed"),
-        (Shutdown(hurry=True), "parking: the server must not wait; the arm is relaxed where it is"),
-        (Stop(), "parking: the arm stands at "),
-        (Command(1, Order.EMERGENCY_STOP), "parking: the arm has a fault: "),
-        ({"temperature": {"3": 68}}, "parking: the arm has a fault: joint elbow_flex is at 68 degC"),
-    ],
-)
-def test_the_end_of_parking_relaxes(rig: ArmRig, caplog: pytest.LogCaptureFixture, happens: Any, words: str) -> None:
-    rig.supervisor.handle(Shutdown())
-    rig.run(0.5)
-    if isinstance(happens, dict):
-        rig.emulator.command(**happens)
-    else:
-        rig.supervisor.handle(happens)
-    assert sinks(rig)
-    assert caplog.text.count(words) == 1
-
-
-@pytest.mark.parametrize("messages", [(Stop(epoch=2), Shutdown(1)), (Shutdown(1), Stop(epoch=2))])
-def test_an_arm_that_is_stopped_after_its_end_was_requested_is_not_parked(
-    rig: ArmRig, messages: tuple[object, ...]
-) -> None:
-    for message in messages:
-        rig.supervisor.handle(message)
-    assert sinks(rig)
-
-
-@pytest.mark.parametrize(
-    ("message", "ticks", "words"),
-    [
-        (ChangePace(direction=PlaybackDirection.PAUSED), 50, "the motion is paused"),
-        (ChangePace(speed_factor=0.0), 50, "the motion is paused"),
-        (Stop(), 1, "no way back"),
-        (Execute(2, smooth_move({"gripper": (0.0, 1.0)}, 2.0), gripping=True), 1, "no way back"),
-    ],
-)
-def test_a_motion_that_is_paused_stopped_or_a_grip_is_not_set_going_by_the_end(
-    moving: ArmRig, caplog: pytest.LogCaptureFixture, message: object, ticks: int, words: str
-) -> None:
-    moving.supervisor.handle(message)
-    moving.run(0.01 * ticks)
-    lose_server(moving)
-    assert sinks(moving)
-    assert words in caplog.text
+    for each in happens:
+        if callable(each):
+            each(rig)
+        elif isinstance(each, float):
+            rig.run(each)
+        elif isinstance(each, dict):
+            rig.emulator.command(**each)
+        else:
+            rig.supervisor.handle(each)
+    until_ended(rig)
+    assert rig.torque() == [0] * 6
+    assert distance_to_rest(rig) > 0.3
+    assert words == "" or caplog.text.count(words) == 1
 
 
 def test_an_arm_at_its_rest_pose_is_relaxed_at_once(rig: ArmRig) -> None:

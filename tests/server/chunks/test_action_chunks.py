@@ -5,7 +5,7 @@ Server, supervisor and controller are the real ones, in stepped time; the joints
 
 import asyncio
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -302,24 +302,6 @@ async def test_an_object_that_comes_into_the_way_is_not_reached(policy: Policy) 
     policy.assert_within_limits()
 
 
-@pytest.mark.parametrize("after_s", np.arange(0.0, 0.1, 0.025).tolist())
-async def test_a_stop_at_any_moment_ends_the_chunks_until_they_pause(policy: Policy, after_s: float) -> None:
-    async def stream() -> None:
-        for number in range(12):
-            start = policy.arm_rad[-1, 0] if policy.goals_rad else 0.0
-            await policy.send(0.1, chunk(ramp(24, start + 0.3, start), id=str(number)))
-
-    streaming = asyncio.create_task(stream())
-    await asyncio.sleep(0.4 + after_s)
-    policy.stage.call("/arm/stop")
-    await asyncio.sleep(0.4)
-    at_rest = len(policy.goals_rad)
-    await streaming
-    await asyncio.sleep(0.5)
-    assert (np.array(policy.goals_rad[at_rest:]) == policy.goals_rad[at_rest]).all()
-    assert "the arm was stopped: publish nothing on" in policy.refusals[-1]
-
-
 async def test_a_stop_ends_also_a_policy_with_a_chunk_every_two_seconds_and_holds_the_gripper(policy: Policy) -> None:
     def moved(rad: float, count: int) -> dict[str, Any]:
         """Return a chunk that moves each joint of arm and gripper so far from where it is."""
@@ -391,73 +373,80 @@ async def test_the_action_gives_the_answer_as_feedback_and_its_end_as_result(pol
     np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
 
 
-@pytest.mark.parametrize("after_s", np.arange(0.0, 0.2, 0.067).tolist())
-async def test_a_stick_takes_over_at_any_moment_and_gives_back_without_a_jump(policy: Policy, after_s: float) -> None:
-    streaming = asyncio.create_task(policy.stream(3.0))
-    await asyncio.sleep(0.5 + after_s)
+async def take_by_stick(policy: Policy) -> None:
     begins_rad = policy.here_rad
-    await policy.jog(-1.0, 1.0)
-    assert policy.phase == PolicyPhase.TAKEN_OVER
-    # The stick has the arm, although the policy goes on to send.
+    await policy.jog(-1.0, 0.6)
     assert policy.here_rad < begins_rad - 0.1
-    await asyncio.sleep(0.5)
-    stands = policy.goals_rad[-1]
-    await streaming
-    assert (policy.goals_rad[-1] == stands).all()
-    assert "steering by hand has taken over: the policy goes on after /arm/chunks/resume" in policy.refusals[-1]
-    policy.stage.call(RESUME)
-    await policy.stream(0.6)
-    assert policy.phase == PolicyPhase.FOLLOWING
-    assert policy.here_rad > stands[COLUMNS[0]] + 0.05
-    policy.assert_within_limits()
 
 
-async def test_a_leader_takes_over_and_gives_back(policy: Policy) -> None:
-    async def lead() -> None:
-        for number in range(250):
-            at_s = 0.02 * number
-            sample = {
-                "header": {"stamp": time_message(5.0 + at_s)},
-                "name": ["shoulder_pan"],
-                "position": [-0.2 - 0.1 * at_s],
-            }
-            policy.publish_now("/glove", "sensor_msgs/JointState", sample, policy.hand)
-            await asyncio.sleep(0.02)
-
-    streaming = asyncio.create_task(policy.stream(4.0))
-    leading = asyncio.create_task(lead())
-    await asyncio.sleep(0.5)
-    policy.stage.call("/teleop/start", leader="/glove")
-    await asyncio.sleep(3.0)
-    assert policy.phase == PolicyPhase.TAKEN_OVER
-    assert policy.here_rad == pytest.approx(-0.2 - 0.1 * 3.5, abs=0.05)
+async def take_by_leader(policy: Policy) -> None:
+    """Lead the first joint to -0.25 rad, though the policy goes on to send."""
+    for number in range(80):
+        if number == 5:
+            policy.stage.call("/teleop/start", leader="/glove")
+        at_s = 0.02 * number
+        sample = {"header": {"stamp": time_message(5.0 + at_s)}, "name": ["shoulder_pan"], "position": [-0.25]}
+        policy.publish_now("/glove", "sensor_msgs/JointState", sample, policy.hand)
+        await asyncio.sleep(0.02)
+    assert policy.here_rad == pytest.approx(-0.25, abs=0.05)
     policy.stage.call("/teleop/stop")
-    await streaming
-    policy.stage.call(RESUME)
-    begins_rad = policy.here_rad
-    await policy.stream(0.6)
-    assert policy.here_rad > begins_rad + 0.05
-    policy.assert_within_limits()
-    leading.cancel()
+
+
+def take_by(service: str) -> Callable[[Policy], Awaitable[None]]:
+    async def take(policy: Policy) -> None:
+        policy.stage.call(service)
+
+    return take
+
+
+BY_HAND, STOPPED = (
+    "steering by hand has taken over: the policy goes on after",
+    "the arm was stopped: publish nothing on",
+)
+# How the arm is taken from the policy, the phase then, words of the refusals, and if a resumption gives it back.
+TAKINGS: dict[str, tuple[Callable[[Policy], Awaitable[None]], PolicyPhase, str, bool]] = {
+    "a stick steers": (
+        take_by_stick,
+        PolicyPhase.TAKEN_OVER,
+        "steering by hand has taken over: the policy goes on",
+        True,
+    ),
+    "a leader leads": (
+        take_by_leader,
+        PolicyPhase.TAKEN_OVER,
+        "the leader /glove has taken over: the policy goes on",
+        True,
+    ),
+    "the policy is paused": (take_by(PAUSE), PolicyPhase.PAUSED, "the policy is paused", True),
+    "the policy is stopped": (take_by(STOP), PolicyPhase.IDLE, STOPPED, False),
+    "the arm is stopped": (take_by("/arm/stop"), PolicyPhase.IDLE, STOPPED, False),
+}
 
 
 @pytest.mark.parametrize("after_s", np.arange(0.0, 0.2, 0.067).tolist())
-@pytest.mark.parametrize("service", [PAUSE, STOP])
-async def test_a_pause_or_a_stop_brakes_softly_at_any_moment(policy: Policy, service: str, after_s: float) -> None:
-    streaming = asyncio.create_task(policy.stream(2.0))
+@pytest.mark.parametrize(("take", "phase", "words", "returns"), TAKINGS.values(), ids=TAKINGS)
+async def test_an_arm_taken_from_its_policy_at_any_moment_is_not_moved_by_it_before_it_is_given_back(
+    policy: Policy,
+    take: Callable[[Policy], Awaitable[None]],
+    phase: PolicyPhase,
+    words: str,
+    returns: bool,
+    after_s: float,
+) -> None:
+    streaming = asyncio.create_task(policy.stream(4.0))
     await asyncio.sleep(0.5 + after_s)
-    policy.stage.call(service)
-    await asyncio.sleep(0.7)
+    await take(policy)
+    await asyncio.sleep(0.6)
     stands = policy.goals_rad[-1]
-    await streaming
+    await asyncio.sleep(0.6)
+    streaming.cancel()
     assert (policy.goals_rad[-1] == stands).all()
-    assert policy.phase == (PolicyPhase.PAUSED if service == PAUSE else PolicyPhase.IDLE)
+    assert policy.phase == phase
+    assert words in policy.refusals[-1]
     policy.stage.call(RESUME)
     await policy.stream(0.6)
-    moves_again = policy.here_rad > stands[COLUMNS[0]] + 0.05
-    # A stop has ended the policy, until it is silent for a while.
-    assert moves_again == (service == PAUSE)
-    assert service == PAUSE or "the arm was stopped: publish nothing" in policy.refusals[-1]
+    assert bool(policy.here_rad > stands[COLUMNS[0]] + 0.05) is returns
+    assert returns or words in policy.refusals[-1]
     policy.assert_within_limits()
 
 

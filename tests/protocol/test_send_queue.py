@@ -107,7 +107,8 @@ COURSES = {
         "overflowed: True; leave: 0 1 2"
     ),
     "a budget is kept to within one message, and the rest leaves later in order": (
-        "a < 0; b < 1; reply < 2; a < 3; b < 4; reply < 5; leave 2: 0 1; next: 0; leave 2.002: 2 3 4; leave 0: 5; next: "
+        "a < 0; b < 1; reply < 2; a < 3; b < 4; reply < 5; leave 2: 0 1; next: 0; leave 2.002: 2 3 4; "
+        "leave 0: 5; next: "
     ),
     "the fragments of a message leave together, whatever the budget, and are dropped together": (
         "b queue_length 1; b < 1+2 3+4; reply < 5; leave 0: 3+4; dropped: 1"

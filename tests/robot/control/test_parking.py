@@ -40,6 +40,11 @@ def way_to_rest(duration_s: float = 3.0) -> ParkingPlan:
     return ParkingPlan(trajectory, dict.fromkeys(NAMES, 0.0))
 
 
+def held(position_rad: float) -> KeepParking:
+    """A way that was planned with every joint at a position."""
+    return KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, position_rad)))
+
+
 @pytest.fixture
 def rig() -> ArmRig:
     rig = ArmRig(on_server_lost=EndState.PARK, on_exit=EndState.PARK).started()
@@ -75,7 +80,7 @@ def test_an_end_at_rest_leaves_a_parked_and_relaxed_arm_that_hardly_sinks(
     rig: ArmRig, caplog: pytest.LogCaptureFixture, orderly: bool
 ) -> None:
     caplog.set_level(logging.INFO)
-    rig.supervisor.handle(KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, 0.009))))
+    rig.supervisor.handle(held(0.009))
     if orderly:
         rig.supervisor.handle(Shutdown())
     else:
@@ -99,17 +104,6 @@ def test_a_server_that_is_gone_in_mid_motion_sends_the_arm_back_before_it_parks(
     until_ended(moving)
     assert moving.outcomes == [Outcome.STOPPED, Outcome.STOPPED, Outcome.REACHED]
     assert distance_to_rest(moving) < SINK_RAD
-
-
-def sinks(rig: ArmRig) -> bool:
-    """The arm was relaxed without going anywhere near its rest pose."""
-    until_ended(rig)
-    return rig.torque() == [0] * 6 and distance_to_rest(rig) > 0.3
-
-
-def held(position_rad: float) -> KeepParking:
-    """A way that was planned with every joint at a position."""
-    return KeepParking(replace(way_to_rest(), held_rad=dict.fromkeys(NAMES, position_rad)))
 
 
 STEERED, PAUSED = Stream(1, ("shoulder_pan",)), ChangePace(direction=PlaybackDirection.PAUSED)

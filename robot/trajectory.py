@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate, chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,10 +146,10 @@ def rest_to_rest(
 
 def _of_profile(joint_names: tuple[str, ...], profile: Profile) -> Trajectory:
     # Between the corners of all joints' profiles the positions are cubics; corners within a microsecond are one.
-    ends = (np.cumsum((*each.brake.t, *each.t)) for each in profile.profiles[0])
-    corners = np.unique(np.concatenate(([0.0], *ends)))
-    corners = corners[np.diff(corners, prepend=-1.0) > 1e-6]
-    time_s = np.append(corners[corners < profile.duration - 1e-6], profile.duration)
-    time_s[0] = 0.0
-    columns = (np.array(each) for each in zip(*map(profile.at_time, time_s), strict=True))
-    return Trajectory(joint_names, time_s, *columns)
+    ends = (accumulate((*each.brake.t, *each.t)) for each in profile.profiles[0])
+    corners = sorted({0.0, *chain.from_iterable(ends)})
+    kept = [corner for before, corner in pairwise((-1.0, *corners)) if corner - before > 1e-6]
+    times_s = [*(corner for corner in kept if corner < profile.duration - 1e-6), profile.duration]
+    times_s[0] = 0.0
+    columns = (np.array(each) for each in zip(*map(profile.at_time, times_s), strict=True))
+    return Trajectory(joint_names, np.array(times_s), *columns)

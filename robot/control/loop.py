@@ -70,7 +70,7 @@ def _family(config: SerialConfig) -> ServoFamily:
 # A step of a sequence is a transaction of 1 to 2 ms; when less time is left until the tick, only the first is taken.
 STEP_ROOM_S = 0.002
 
-# Messages that change the goals of an arm: a tick comes sooner, up to half a period.
+# Messages that change the goals of an arm: a tick comes sooner.
 _PROMPT = (Execute, Stop, Command)
 
 # Goals on a path differ from goals on the path that it leaves so long after, at the jerk of a policy's motions [s].

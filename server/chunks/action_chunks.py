@@ -430,8 +430,11 @@ class ActionChunks:
 
     def _take_answer(self, followed: _Followed, answer: Answer) -> None:
         followed.over = True
-        end = self._answer(followed.motion, answer.code, answer.message)
         joined = answer.code is MoveItErrorCode.PREEMPTED and self._followed is not followed
+        if joined and followed.begun_until_s > 0.0 and followed.goal is None:
+            # It has its answer, and the next chunk waits.
+            return
+        end = self._answer(followed.motion, answer.code, answer.message)
         if answer.code is not MoveItErrorCode.SUCCESS and not joined and self._gripper is not None:
             # The arm holds, and so does its gripper.
             self._gripper.end(answer.message)

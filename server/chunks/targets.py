@@ -59,8 +59,11 @@ class Targets:
 
     def at(self, time_s: Vector) -> Vector:
         """Return the positions at some times, shape (m, joints) [rad]; those before and after are held."""
-        columns = [np.interp(time_s, self.time_s, column) for column in self.positions_rad.T]
-        return np.stack(columns, axis=-1)
+        places = np.interp(time_s, self.time_s, np.arange(len(self.time_s)))
+        before = places.astype(np.intp)
+        start, end = self.positions_rad[before], self.positions_rad[np.ceil(places).astype(np.intp)]
+        between: Vector = start + (places - before)[:, np.newaxis] * (end - start)
+        return between
 
     def until(self, end_s: float) -> Targets:
         """Return the targets up to a time after the first point [s]."""

@@ -273,7 +273,7 @@ class ActionChunks:
             limits = TrackingLimits(gripper.joints[0].max_velocity, gripper.joints[0].max_acceleration)
             self._gripper = GripperFollowing(gripper, limits, self._gripper_lead)
         self._fingers = () if gripper is None else tuple(joint.name for joint in gripper.joints)
-        self._stream = MessageStream(context.graph.resolve(NAME), self._clock, PAUSE_S)
+        self._stream = MessageStream(context.graph.resolve(NAME), PAUSE_S)
         node = self._node = context.graph.node("chunks")
         node.advertise(ANSWER, ANSWER_TYPE)
         node.offer_action(NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)

@@ -291,9 +291,13 @@ class ActionChunks:
 
     def _leave(self, client: Node) -> None:
         """Brake on the path of a chunk whose client has left, if it takes its goals along."""
-        followed = self._followed
-        if client.takes_goals_along and followed is not None and followed.publisher is client and not followed.over:
-            self._queue.cancel(followed.number, f"{client} has left")
+        followed, reason = self._followed, f"{client} has left"
+        if not client.takes_goals_along or followed is None or followed.publisher is not client:
+            return
+        self._queue.cancel(followed.number, reason)
+        if self._gripper is not None:
+            # Its fingers may be on their way when the arm has come to its last target.
+            self._gripper.end(reason)
 
     async def close(self) -> None:
         if self._gripper is not None:

@@ -273,7 +273,7 @@ class ActionChunks:
             limits = TrackingLimits(gripper.joints[0].max_velocity, gripper.joints[0].max_acceleration)
             self._gripper = GripperFollowing(gripper, limits, self._gripper_lead)
         self._fingers = () if gripper is None else tuple(joint.name for joint in gripper.joints)
-        self._stream = MessageStream(context.graph.resolve(NAME), self._clock, PAUSE_S)
+        self._stream = MessageStream(context.graph.resolve(NAME), PAUSE_S)
         node = self._node = context.graph.node("chunks")
         node.advertise(ANSWER, ANSWER_TYPE)
         node.offer_action(NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
@@ -291,9 +291,13 @@ class ActionChunks:
 
     def _leave(self, client: Node) -> None:
         """Brake on the path of a chunk whose client has left, if it takes its goals along."""
-        followed = self._followed
-        if client.takes_goals_along and followed is not None and followed.publisher is client and not followed.over:
-            self._queue.cancel(followed.number, f"{client} has left")
+        followed, reason = self._followed, f"{client} has left"
+        if not client.takes_goals_along or followed is None or followed.publisher is not client:
+            return
+        self._queue.cancel(followed.number, reason)
+        if self._gripper is not None:
+            # Its fingers may be on their way when the arm has come to its last target.
+            self._gripper.end(reason)
 
     async def close(self) -> None:
         if self._gripper is not None:

@@ -120,7 +120,9 @@ class FaultFiles:
         def content() -> bytes:
             # A number that is none, or infinite, is null.
             options = orjson.OPT_APPEND_NEWLINE | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
-            return b"".join(orjson.dumps(line, option=options) for line in (*head, *map(_state_line, samples)))
+            lines = (*head, *map(_state_line, samples))
+            # A warning about a servo is a named tuple, which orjson leaves to us.
+            return b"".join(orjson.dumps(line, default=list, option=options) for line in lines)
 
         try:
             self.latest = await self._disk.do(lambda: series.add(name, content))

@@ -98,7 +98,7 @@ class JointTrajectoryController:
         self._refused: object = None
         self._failed: object = None
         self._topic = f"/{name}_controller/joint_trajectory"
-        self._stream = MessageStream(self._topic, context.planning.clock)
+        self._stream = MessageStream(self._topic)
         action = f"/{name}_controller/follow_joint_trajectory"
         self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = self._node = context.graph.node(f"{group.name} controller")

@@ -17,6 +17,7 @@ from robot.logs import LogLimiter
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError, ServiceError, UnsuccessfulError, invalid
+from server.execution.goal import Silence
 from server.execution.monitors import check_ready
 from server.graph.permissions import STOPPING, SWITCHING
 from server.graph.topics import LocalNode
@@ -133,6 +134,7 @@ class CommandGate:
         self._heard_epoch = 0
         # Of each client that announces its presses.
         self._presses: dict[object, Press] = {}
+        self._silences: dict[object, Silence] = {}  # of each client that sends commands
         self._selected: CommandType | None = None
         self._heard_s = -float("inf")
         self._interrupted = ""
@@ -185,18 +187,21 @@ class CommandGate:
 
     def rejection(self, client: object, kind: CommandType, now_s: float) -> str:
         """Return the reason for not following a command; empty if it is followed."""
+        if client not in self._silences:
+            self._silences = {each: silence for each, silence in self._silences.items() if self._present(each)}
+        let_go = self._silences.setdefault(client, Silence(self._timeout_s)).end()
         left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self.owner)
         if self.owner is not None and left:
             # The selection of a client ends with its control.
-            self.owner, self._selected, self._heard_s = None, None, -float("inf")
+            self.owner, self._selected = None, None
         if self.owner not in (None, client):
             return f"{client} cannot steer the arm: {self.owner} does"
         self.owner = client
-        silence_s, self._heard_s = now_s - self._heard_s, now_s
+        self._heard_s = now_s
         stopped, last_stop = is_stopped(self._arm.last_stop), self._arm.last_stop
         press = self._presses.get(client)
         pressed = press is None or not is_stopped(last_stop, press.epoch)
-        if silence_s > self._timeout_s and pressed and not stopped:
+        if let_go and pressed and not stopped:
             self._interrupted = ""
         elif stopped or is_stopped(last_stop, self._heard_epoch):
             self._interrupted = "the arm was stopped"

@@ -345,11 +345,15 @@ async def test_the_gripper_follows_its_targets_at_their_times_and_then_holds(pol
     np.testing.assert_allclose(policy.arm_rad[-1], ramp()[-1], atol=1e-5)
 
 
-@pytest.mark.parametrize("service", [PAUSE, STOP])
+@pytest.mark.parametrize("service", [PAUSE, STOP, "its client leaves"])
 async def test_a_gripper_that_is_behind_the_arm_s_end_stops_with_the_policy(policy: Policy, service: str) -> None:
     far = np.column_stack((ramp(6, 0.0), np.full(6, HOME["gripper"] + 1.2)))
-    await policy.send(0.35, chunk(far, (*ARM_JOINTS, "gripper")))
-    policy.stage.call(service)
+    client = Node("policy", remote=True, takes_goals_along=True)
+    await policy.send(0.35, chunk(far, (*ARM_JOINTS, "gripper")), client)
+    if service in (PAUSE, STOP):
+        policy.stage.call(service)
+    else:
+        policy.stage.graph.remove(client)
     await asyncio.sleep(0.3)
     stands = policy.goals_rad[-1][GRIPPER]
     await asyncio.sleep(SETTLES_S)

@@ -14,7 +14,7 @@ import pytest
 from harness.clients import arm_client, values_of
 from harness.server import ServerOnBus, server_on_bus
 from robot import logs
-from robot.faults import Fault, FaultCode
+from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.logs import MAX_LINE_CHARACTERS, LogLine
 from robot.messages import ArmState, Mode
 from server.graph.topics import Graph
@@ -158,6 +158,14 @@ async def test_the_file_has_the_log_and_the_servos_before_the_fault(world: World
     await world.latch()
     assert [line["text"] for line in world.lines("log")] == ["the gripper is warm"]
     assert [[joint["joint"] for joint in line["joints"]] for line in world.lines("health")] == [list(JOINTS)]
+
+
+async def test_the_file_has_the_warnings_about_servos(world: World) -> None:
+    health = arm_health()
+    warm = replace(health.joints[0], warnings=(ServoWarning(ServoAlert.WARM, "warm: 56 degC"),))
+    world.files.take_health(replace(health, joints=(warm, *health.joints[1:])))
+    await world.latch()
+    assert world.lines("health")[0]["joints"][0]["warnings"] == [["warm", "warm: 56 degC", ""]]
 
 
 # Many more states than a file has, and few; that the wall clock is set for the last second changes nothing.

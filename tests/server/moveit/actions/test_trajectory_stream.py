@@ -7,7 +7,7 @@ import asyncio
 import logging
 import time
 from collections.abc import AsyncIterator, Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from robot.control.pacing import PERIOD_S
 from robot.trajectory import Vector
 from server.execution.goal import STREAM_PAUSE_S
 from tests.helpers import stage as stage_module
+from tests.helpers.clock import SteppedLoop
 from tests.helpers.graph import listen
 from tests.helpers.messages import time_message
 from tests.helpers.stage import ARM_JOINTS, RecordedStage, inline_threads
@@ -111,6 +112,18 @@ async def test_a_stop_at_any_moment_ends_the_stream_until_it_pauses(controller: 
     controller.publish(point(controller.arm_rad[-1] + 0.1, 1.0))
     await asyncio.sleep(1.5)
     np.testing.assert_allclose(controller.arm_rad[-1], controller.arm_rad[at_rest] + 0.1, atol=1e-6)
+
+
+async def test_a_standstill_of_the_server_after_a_stop_is_no_pause_of_the_stream(controller: Controller) -> None:
+    streaming = asyncio.create_task(controller.stream(1.5))
+    await asyncio.sleep(0.7)
+    controller.stage.call("/arm/stop")
+    await asyncio.sleep(0.4)
+    at_rest = len(controller.arm_rad)
+    cast("SteppedLoop", asyncio.get_running_loop()).advance(10.0 * STREAM_PAUSE_S)
+    await streaming
+    await asyncio.sleep(0.5)
+    assert (np.array(controller.arm_rad[at_rest:]) == controller.arm_rad[at_rest]).all()
 
 
 async def test_a_stream_stops_before_an_object(controller: Controller, caplog: pytest.LogCaptureFixture) -> None:

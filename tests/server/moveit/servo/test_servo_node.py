@@ -5,7 +5,7 @@ import json
 import logging
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -18,7 +18,7 @@ from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from server.moveit.servo import servo_node
-from tests.helpers.clock import FakeClock
+from tests.helpers.clock import FakeClock, SteppedLoop
 from tests.helpers.fake_arm import ROBOT, FakeArm, settle
 from tests.helpers.gateway import REGISTRY
 from tests.helpers.graph import answered, listen
@@ -163,14 +163,16 @@ TWIST = servo_node.CommandType.TWIST
 
 
 class GateRig:
-    """A gate of an arm."""
+    """A gate of an arm, and its clients."""
 
     def __init__(self) -> None:
         self.arm = FakeArm()
-        self.gate = servo_node.CommandGate(lambda _client: True, TIMEOUT_S, self.arm.as_arm)
+        self.present = {ONE, OTHER}
+        self.gate = servo_node.CommandGate(self.present.__contains__, TIMEOUT_S, self.arm.as_arm)
 
-    def said(self, at_s: float, client: Node = ONE, kind: servo_node.CommandType = TWIST) -> str:
-        return self.gate.rejection(client, kind, at_s)
+    def say(self, client: Node = ONE, kind: servo_node.CommandType = TWIST) -> str:
+        """Send a command; returns the reason for which it is rejected."""
+        return self.gate.rejection(client, kind, asyncio.get_running_loop().time())
 
 
 @pytest.fixture
@@ -191,40 +193,82 @@ def interrupt(rig: GateRig) -> str:
 in_every_way = pytest.mark.parametrize("end", [stop, interrupt])
 
 
+@pytest.mark.stepped_time
 @in_every_way
-def test_after_an_end_of_the_steering_commands_are_rejected_until_a_pause_or_the_status_is_reset(
+async def test_after_an_end_of_the_steering_commands_are_rejected_until_a_pause_or_the_status_is_reset(
     gate_rig: GateRig, end: Callable[[GateRig], str]
 ) -> None:
-    gate_rig.said(0.0)
+    gate_rig.say()
     said = end(gate_rig)
-    for step in range(1, 20):
-        assert said in gate_rig.said(0.1 * step)
-    assert gate_rig.said(1.9 + 1.1 * TIMEOUT_S) == ""
+    for _ in range(20):
+        await asyncio.sleep(0.1)
+        assert said in gate_rig.say()
+    await asyncio.sleep(1.1 * TIMEOUT_S)
+    assert gate_rig.say() == ""
     end(gate_rig)
     gate_rig.gate.reset()
-    assert gate_rig.said(2.2) == ""
+    assert gate_rig.say() == ""
 
 
-def test_a_command_that_a_stop_has_overtaken_is_rejected_even_as_the_first(gate_rig: GateRig) -> None:
+async def test_a_command_that_a_stop_has_overtaken_is_rejected_even_as_the_first(gate_rig: GateRig) -> None:
     before = STOP_EPOCHS.present
     gate_rig.arm.stop()
     with arrived_in(before):
-        assert "the arm was stopped" in gate_rig.said(0.0)
+        assert "the arm was stopped" in gate_rig.say()
 
 
+@pytest.mark.stepped_time
+@pytest.mark.parametrize("timers_first", [False, True])
+async def test_a_standstill_of_the_server_after_a_stop_lets_no_stick_go(
+    gate_rig: GateRig, *, timers_first: bool
+) -> None:
+    """The commands of that time are read when the server goes on, behind the timers or before them."""
+    gate_rig.say()
+    stop(gate_rig)
+    gate_rig.say()
+    cast("SteppedLoop", asyncio.get_running_loop()).advance(10.0 * TIMEOUT_S)
+    if timers_first:
+        await settle()
+    for _ in range(20):
+        assert "the arm was stopped" in gate_rig.say()
+        await asyncio.sleep(0.2 * TIMEOUT_S)
+    await asyncio.sleep(1.1 * TIMEOUT_S)
+    assert gate_rig.say() == ""
+
+
+@pytest.mark.stepped_time
+async def test_a_stick_held_on_since_before_a_stop_takes_over_from_no_client_that_leaves(gate_rig: GateRig) -> None:
+    assert gate_rig.say() == ""
+    assert "cannot steer" in gate_rig.say(OTHER)
+    stop(gate_rig)
+    gate_rig.present.remove(ONE)
+    await asyncio.sleep(0.9 * TIMEOUT_S)
+    assert "the arm was stopped" in gate_rig.say(OTHER)
+    await asyncio.sleep(1.1 * TIMEOUT_S)
+    assert gate_rig.say(OTHER) == ""
+
+
+@pytest.mark.stepped_time
 @in_every_way
-def test_a_client_that_tells_its_presses_steers_after_another(gate_rig: GateRig, end: Callable[[GateRig], str]) -> None:
+async def test_a_client_that_tells_its_presses_steers_after_another(
+    gate_rig: GateRig, end: Callable[[GateRig], str]
+) -> None:
     gate = gate_rig.gate
     gate.press(ONE, TIMEOUT_S, {ONE})
-    assert gate_rig.said(0.0) == ""
+    assert gate_rig.say() == ""
     # A gap alone, as of a page that stood still, ends nothing.
-    assert gate_rig.said(1.0) == ""
+    await asyncio.sleep(1.0)
+    assert gate_rig.say() == ""
     end(gate_rig)
-    assert f"then publish {servo_node.TIMEOUT_TOPIC} again" in gate_rig.said(2.0)
-    assert gate_rig.said(3.0) != ""
+    await asyncio.sleep(1.0)
+    assert f"then publish {servo_node.TIMEOUT_TOPIC} again" in gate_rig.say()
+    await asyncio.sleep(1.0)
+    assert gate_rig.say() != ""
     gate.press(ONE, TIMEOUT_S, {ONE})
-    assert gate_rig.said(3.1) != ""
-    assert gate_rig.said(4.0) == ""
+    await asyncio.sleep(0.1)
+    assert gate_rig.say() != ""
+    await asyncio.sleep(1.0)
+    assert gate_rig.say() == ""
 
 
 def test_a_client_shortens_the_timeout_of_its_own_commands_alone(gate_rig: GateRig) -> None:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import functools
 import threading
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import pybase64
@@ -27,6 +28,41 @@ from protocol.registry import MAX_COMPILED_TYPES, ArrayBounds, Field, Registry
 # as many; completing them takes two seconds at worst, and 150 MB.
 MAX_VALUES = 1_000_000
 
+# Of a message that a part of the server reads, which takes up to 2 us a value. A planning request with constraints has
+# some hundred.
+MAX_READ_VALUES = 5_000
+
+
+@dataclass(frozen=True)
+class ListLimits:
+    """Limits of the lists in one message, in addition to the limits of every message."""
+
+    # Number of elements in all lists of a field together, by type and field such as
+    # ``moveit_msgs/msg/MotionSequenceRequest.items``.
+    max_elements: Mapping[str, int] = field(default_factory=dict)
+    max_values: int = MAX_READ_VALUES  # number of values in all other lists, of messages as they are when complete
+
+
+class _Lists:
+    """Count of one message's lists, against limits."""
+
+    def __init__(self, limits: ListLimits) -> None:
+        self._max_elements, self._max_values = limits.max_elements, limits.max_values
+        self._elements: dict[str, int] = {}
+        self._values_left = limits.max_values
+
+    def add(self, name: str, count: int, values_of_element: int) -> None:
+        """Count a list of a field, given with its type; raises MessageError."""
+        max_elements = self._max_elements.get(name)
+        if max_elements is None:
+            self._values_left -= count * values_of_element
+            if self._values_left < 0:
+                raise MessageError(f"at most {self._max_values} values in all lists, as they are complete", "more")
+        else:
+            count = self._elements[name] = self._elements.get(name, 0) + count
+            if count > max_elements:
+                raise MessageError(f"at most {max_elements} elements in all", str(count))
+
 
 class MessageBudget(threading.local):
     """Budget of one message, in values; each thread completes its messages one after the other."""
@@ -34,10 +70,11 @@ class MessageBudget(threading.local):
     def __init__(self) -> None:
         self.renew("", MAX_VALUES, MAX_VALUES)
 
-    def renew(self, type_name: str, max_values: int, max_values_at_once: int) -> None:
+    def renew(self, type_name: str, max_values: int, max_values_at_once: int, limits: ListLimits | None = None) -> None:
         self._type_name = type_name
         self._max_values = self._left = max_values
         self._at_once_left = max_values_at_once
+        self.lists = None if limits is None else _Lists(limits)
 
     @property
     def taken(self) -> int:
@@ -103,7 +140,10 @@ class Stamp(NamedTuple):
     def from_seconds(cls, seconds: float) -> Stamp:
         """Return the stamp of a Unix time [s], clipped to the int32 seconds of builtin_interfaces/Time."""
         nanoseconds = round(seconds * 1_000_000_000)
-        return cls(*divmod(min(max(nanoseconds, _EARLIEST_NS), _LATEST_NS), 1_000_000_000))
+        # Every message has one: `min` and `max` take a third of its time.
+        if not _EARLIEST_NS <= nanoseconds <= _LATEST_NS:
+            nanoseconds = min(max(nanoseconds, _EARLIEST_NS), _LATEST_NS)
+        return cls(*divmod(nanoseconds, 1_000_000_000))
 
     def as_message(self) -> dict[str, int]:
         return {"sec": self.sec, "nanosec": self.nanosec}
@@ -126,16 +166,17 @@ def complete(
     received: Stamp,
     max_values: int = MAX_VALUES,
     max_values_at_once: int = MAX_VALUES,
+    limits: ListLimits | None = None,
 ) -> dict[str, Any]:
     """Validate a message and fill in what it leaves out.
 
     Missing fields get their defaults. A header that is omitted, or has no stamp, gets the time of receipt; a
     stamp that is given stays, even if it is zero. The text ``now`` for a Time is the time of receipt.
 
-    Raises InterfaceError for an unknown type, MessageError for a value that does not fit or more than ``max_values`` in
-    lists of messages, and LargeMessageError for more than ``max_values_at_once``.
+    Raises InterfaceError for an unknown type, MessageError for a value that does not fit, a list beyond ``limits`` or
+    more than ``max_values`` in lists of messages, and LargeMessageError for more than ``max_values_at_once``.
     """
-    BUDGET.renew(type_name, max_values, max_values_at_once)
+    BUDGET.renew(type_name, max_values, max_values_at_once, limits)
     return _message_shape(registry, type_name).complete(value, received)
 
 
@@ -152,7 +193,8 @@ class _PrimitiveShape:
 
 
 class _PrimitiveArrayShape:
-    def __init__(self, field: Field, bounds: ArrayBounds) -> None:
+    def __init__(self, name: str, field: Field, bounds: ArrayBounds) -> None:
+        self._name = name
         self._convert = values.element_converter(field.base, field.max_length)
         self._convert_list = values.list_converter(field.base, field.max_length)
         self._bounds = bounds
@@ -160,6 +202,9 @@ class _PrimitiveArrayShape:
 
     def complete(self, value: object, _received: Stamp) -> list[Any]:
         elements = _elements(value, self._bounds)
+        # A list of bounded length has few elements.
+        if (lists := BUDGET.lists) is not None and self._bounds.max_length is None:
+            lists.add(self._name, len(elements), 1)
         converted = self._convert_list(elements)
         return values.to_list(elements, self._convert) if converted is None else converted
 
@@ -194,13 +239,16 @@ class _OctetArrayShape:
 
 
 class _MessageArrayShape:
-    def __init__(self, element: _Shape, values_of_element: int, bounds: ArrayBounds) -> None:
+    def __init__(self, name: str, element: _Shape, values_of_element: int, bounds: ArrayBounds) -> None:
+        self._name = name
         self._element = element
         self._values_of_element = values_of_element
         self._bounds = bounds
 
     def complete(self, value: object, received: Stamp) -> list[Any]:
         elements = _elements(value, self._bounds)
+        if (lists := BUDGET.lists) is not None:
+            lists.add(self._name, len(elements), self._values_of_element)
         BUDGET.take(len(elements) * self._values_of_element)
         return values.to_list(elements, lambda element: self._element.complete(element, received))
 
@@ -279,7 +327,7 @@ class _HeaderStampShape(_TimeShape):
 def _message_shape(registry: Registry, type_name: str) -> _MessageShape:
     # Types of ROS never contain themselves, so this ends.
     message_type = registry.message(type_name)
-    shapes = {field.name: _field_shape(registry, field) for field in message_type.fields}
+    shapes = {each.name: _field_shape(registry, message_type.name, each) for each in message_type.fields}
     # Only in a header is a time that is left out the time of receipt; elsewhere zero has a meaning of its own.
     if message_type.name == HEADER:
         stamp = registry.message(TIME)
@@ -288,15 +336,18 @@ def _message_shape(registry: Registry, type_name: str) -> _MessageShape:
     return shape_class(message_type.name, shapes)
 
 
-def _field_shape(registry: Registry, field: Field) -> _Shape:
+def _field_shape(registry: Registry, type_name: str, field: Field) -> _Shape:
+    name = f"{type_name}.{field.name}"
     if not field.primitive:
         element = _message_shape(registry, field.base)
         if field.array is None:
             return element
-        return _MessageArrayShape(element, values_in(registry, field.base), field.array)
+        return _MessageArrayShape(name, element, values_in(registry, field.base), field.array)
     if field.array is None:
         return _PrimitiveShape(field)
-    return (_OctetArrayShape if field.base in _OCTETS else _PrimitiveArrayShape)(field, field.array)
+    if field.base in _OCTETS:
+        return _OctetArrayShape(field, field.array)
+    return _PrimitiveArrayShape(name, field, field.array)
 
 
 def _elements(value: object, bounds: ArrayBounds) -> list[Any]:

@@ -15,7 +15,7 @@ from protocol.operations import qualify
 from protocol.registry import Kind
 from protocol.type_descriptions import full_text, typedefs
 from server.errors import ServiceError
-from server.graph.index import TypedNames
+from server.graph.index import TypedNames, is_hidden
 from server.graph.permissions import CONFIGURING, LOOKING, NameFilter, Node
 from server.graph.providers import CompleteResponse
 from server.graph.services import Call, failure_told
@@ -112,7 +112,7 @@ class RosApi:
     def _of_services(self) -> Handlers:
         services, actions, providers = self._services.names, self._graph.actions.names, self._services.providers_of_type
         return {
-            "services": lambda _: {"services": _shown(services.types())},
+            "services": lambda _: {"services": sorted(services.shown_types())},
             "services_for_type": lambda request: {"services": _shown(services.of_type(request.values["type"]))},
             "service_type": _type_answer(services, "service"),
             # The field ``service`` has a type, as in rosapi.
@@ -138,9 +138,8 @@ class RosApi:
         }
 
     def _topics(self, dialect: Dialect) -> dict[str, Any]:
-        types = self._graph.topic_names.types(dialect)
-        shown = [name for name in types if not _is_hidden(name)]
-        return {"topics": shown, "types": [types[name] for name in shown]}
+        types = self._graph.topic_names.shown_types(dialect)
+        return {"topics": list(types), "types": list(types.values())}
 
     def _topics_and_raw_types(self, request: Request) -> dict[str, Any]:
         answer, known = self._topics(request.dialect), self._graph.topic_names.types()
@@ -276,13 +275,8 @@ def _node_names(nodes: Iterable[Node]) -> list[str]:
     return sorted({node_name(node.name) for node in nodes})
 
 
-def _is_hidden(name: str) -> bool:
-    """Return True for a name that ROS 2 leaves out of lists: a part of it begins with an underscore."""
-    return "/_" in name
-
-
 def _shown(names: Iterable[str]) -> list[str]:
-    return sorted(name for name in names if not _is_hidden(name))
+    return sorted(name for name in names if not is_hidden(name))
 
 
 def _joined(lists: Iterable[list[str]]) -> list[str]:

@@ -15,7 +15,7 @@ from enum import StrEnum
 import numpy as np
 
 from planners.problem import MoveItErrorCode, PlanningFailure
-from protocol.messages import Stamp
+from protocol.messages import ListLimits, Stamp
 from protocol.publication import PublishedMessage
 from robot.control.checks import refusal
 from robot.description.limits import JointBounds, motion_limits
@@ -30,7 +30,6 @@ from server.errors import GraphError, RefusedError, invalid_plan, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.graph.actions import ActionGoal
-from server.graph.list_limits import ListLimits
 from server.graph.permissions import GOAL, STOPPING, WORKING, Node
 from server.graph.services import Call
 from server.graph.services import answer as answer_call

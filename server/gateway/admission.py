@@ -78,8 +78,7 @@ def _ipv4_addresses() -> list[str]:
 BURST_TIME_S = 10
 
 # Refused connections are answered with the reason while they are few: an answer costs a handshake, and a flood gets
-# none.
-MAX_ANSWERED = 32
+# none. Each is open for 11 s at most, and so 120 of them.
 ANSWERS_PER_S = 10
 
 # Addresses without a connection that are remembered, for their rate.
@@ -118,7 +117,6 @@ class ConnectionLimiter:
         # Addresses with connections, and addresses without, the last to leave at the end.
         self._present: dict[str, _Address] = {}
         self._absent: OrderedDict[str, _Address] = OrderedDict()
-        self._answered = 0
         self._answers = RateLimiter(ANSWERS_PER_S, ANSWERS_PER_S)
         self._log = LogLimiter()
 
@@ -142,13 +140,12 @@ class ConnectionLimiter:
         self.rejected_count += 1
         if not known.open_count:
             self._remember(key, known)
-        if self._answered >= MAX_ANSWERED or not self._answers.take(now_s):
+        if not self._answers.take(now_s):
             return None
-        self._answered += 1
         status, sentence = rejection
         self._log.write(log, logging.WARNING, f"refused: {address}: {sentence}", address)
         answer = HttpResponse.of_text(status, sentence, {"Retry-After": str(RETRY_AFTER_S)})
-        return ConnectionSlot(answer, self._end_answer)
+        return ConnectionSlot(answer, lambda: None)
 
     def _address(self, key: str) -> _Address:
         known = self._present.get(key) or self._absent.pop(key, None)
@@ -183,9 +180,6 @@ class ConnectionLimiter:
         self._absent.move_to_end(key)
         if len(self._absent) > MAX_ABSENT:
             self._absent.popitem(last=False)
-
-    def _end_answer(self) -> None:
-        self._answered -= 1
 
 
 # Paths that need the right to view. The page itself does not: it is the same everywhere, and asks for a token itself.

@@ -124,11 +124,11 @@ class Connection:
         try:
             self._transport.start_delivery(self._client)
             await self._read()
-            # Carry out what a client that leaves has sent before, unless it would have to read its replies first.
+            # Carry out what a client that leaves has sent before, unless it would have to read its replies first, and
+            # send it the replies if it has closed its own direction alone.
             ends_s = time.monotonic() + LEAVE_TIMEOUT_S
-            inbox, session = self._client.inbox, self._client.session
             # Polled: nearly every client has nothing waiting when it leaves.
-            while not inbox.empty and not session.congested and time.monotonic() < ends_s:  # noqa: ASYNC110
+            while self._is_unfinished and time.monotonic() < ends_s:  # noqa: ASYNC110
                 await asyncio.sleep(LEAVE_POLL_S)
         finally:
             if waiting is not None:
@@ -139,6 +139,12 @@ class Connection:
             self._transport.stop_delivery()
             self._client.leave()
             self._client.session.send_queue.close()
+
+    @property
+    def _is_unfinished(self) -> bool:
+        session = self._client.session
+        unsent = self._transport.is_open and session.send_queue.reply_bytes > 0
+        return not session.congested and (unsent or not self._client.inbox.empty)
 
     async def _read(self) -> None:
         try:

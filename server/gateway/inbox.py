@@ -77,6 +77,8 @@ class Inbox:
         # Set by a frame that waits; until when further ones are waited for.
         self._arrived = False
         self._read_ahead_until_s = 0.0
+        # Set by a frame that took longer than its turn: the next one waits, so that a stop behind it is found soon.
+        self._overran = False
         # A client has the threads for half of the time at most.
         self._next_job_s = 0.0
         # Stops and cancels that came faster than the lane is worked off.
@@ -104,7 +106,8 @@ class Inbox:
         """Take a frame that arrived in a stop epoch, None for the present one; nothing in it can raise."""
         if self._closed:
             return
-        until_s = self._turns.until_s() if self.empty and not self._session.congested else None
+        at_once = self.empty and not self._overran and not self._session.congested
+        until_s = self._turns.until_s() if at_once else None
         received = Waiting(frame, len(frame), STOP_EPOCHS.present if epoch is None else epoch)
         if until_s is not None and len(frame) >= LONG_FRAME_BYTES:
             received.light = isinstance(frame, str) and self.client.identified and is_light(frame)
@@ -114,6 +117,7 @@ class Inbox:
             self._add_frame(received, frame)
         elif received.light or not self._published(received):
             self._begin(received, frame, until_s)
+            self._overran = self._clock() > until_s
 
     def work(self, until_s: float) -> bool:
         """Carry out what waits until a time; return True when there is more to do now."""
@@ -164,7 +168,7 @@ class Inbox:
     def _add(self, waiting: Waiting) -> None:
         if not self._waiting:
             self._read_ahead_until_s = self._clock() + READ_AHEAD_S
-        self._arrived = True
+        self._arrived, self._overran = True, False
         self._waiting.append(waiting)
         self._count(waiting.size_bytes)
         self._hold_or_release()

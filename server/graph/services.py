@@ -13,9 +13,9 @@ from typing import Any, TypeAlias
 
 from protocol.dialect import Dialect
 from protocol.errors import MessageError
+from protocol.messages import ListLimits
 from robot.errors import RobotError
 from server.errors import NoAnswerError, ServerError, UnsuccessfulError
-from server.graph.list_limits import ListLimits
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node, Rule
 from server.graph.providers import CompleteResponse, PendingRequest, Providers

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from protocol.messages import Stamp
+from protocol.messages import ListLimits, Stamp
 from robot import logs
 from robot.faults import ADVICE, Fault, ServoAlert, advise
 from robot.hardware.config import SIMULATED_PORTS
@@ -20,7 +20,6 @@ from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel, message_of
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.interface import status
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, diagnostic_status, key_values
-from server.graph.list_limits import ListLimits
 from server.graph.permissions import CONFIGURING, LOOKING
 from server.graph.topics import Graph
 

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from planners.problem import MoveItErrorCode
+from protocol.messages import ListLimits
 from server.diagnostic_values import key_values
 from server.errors import RefusedError, invalid, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
@@ -18,7 +19,6 @@ from server.execution.motions import PlannedMotion
 from server.execution.queue import GoalQueue
 from server.graph import services
 from server.graph.actions import ActionGoal
-from server.graph.list_limits import ListLimits
 from server.graph.permissions import CALLED_GOAL, Node
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
 from server.graph.topics import LocalGraph

@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from planners.problem import MoveItErrorCode
+from protocol.messages import ListLimits
 from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
@@ -25,7 +26,6 @@ from server.execution.goal import BRAKING_TIMEOUT_S, CancelScope, ExecutionDeadl
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.motions import MotionsInProgress
 from server.graph.actions import ActionGoal, GoalStatus
-from server.graph.list_limits import ListLimits
 from server.graph.permissions import GOAL
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal

@@ -13,10 +13,10 @@ import numpy as np
 from planners.interface import Planners
 from planners.problem import IkAnswer, IkQuestion, MoveItErrorCode, PlanningFailure, PlanningProblem
 from planners.scene import Pose, Scene
+from protocol.messages import ListLimits
 from robot.trajectory import rest_to_rest
 from server.errors import RefusedError, ServiceError
 from server.execution.motions import Positions
-from server.graph.list_limits import ListLimits
 from server.graph.permissions import PLANNING
 from server.graph.topics import Graph
 from server.moveit.goals.goal_topics import JOINTS_TOPIC, POSE_TOPIC, GoalTranslator

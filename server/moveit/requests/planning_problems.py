@@ -35,10 +35,10 @@ from planners.problem import (
     planner_name,
 )
 from planners.scene import Point, Pose
+from protocol.messages import ListLimits
 from robot.description.model import Group, RobotModel
 from server.errors import invalid, invalid_plan, refused
 from server.execution.motions import Joints, MotionStep, Positions
-from server.graph.list_limits import ListLimits
 from server.moveit.messages import Message, check_finite, composed
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,

@@ -8,11 +8,11 @@ from typing import Any
 
 from planners.scene_checks import MAX_SCENE_TRIANGLES, MAX_SHAPES
 from protocol.errors import MessageError
+from protocol.messages import ListLimits
 from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
 from server.errors import RefusedError
 from server.execution.monitors import CurrentState, state_message
-from server.graph.list_limits import ListLimits
 from server.graph.permissions import LOOKING, WORKING
 from server.graph.providers import CompleteResponse
 from server.graph.services import Call, answer

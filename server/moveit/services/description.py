@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from planners.scene import Pose
-from protocol.messages import Stamp
+from protocol.messages import ListLimits, Stamp
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.joined import chain_lengths_m
 from robot.description.model import RobotModel
@@ -27,7 +27,6 @@ from robot.messages import ArmState
 from server.disk import Disk
 from server.errors import RefusedError, ServiceError
 from server.graph.actions import ActionGoal, GoalStatus
-from server.graph.list_limits import ListLimits
 from server.graph.permissions import LOOKING
 from server.graph.topics import Graph
 from server.moveit.actions.gripper import GRIPPER_ACTION

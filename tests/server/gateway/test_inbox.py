@@ -279,6 +279,16 @@ def test_a_stop_goes_ahead_of_two_megabytes_that_its_client_sent_before(world: W
     assert "/goal" not in world.done[world.done.index("/stop") :]
 
 
+def test_a_stop_goes_ahead_of_frames_each_of_which_takes_longer_than_a_turn(world: World, client: Handler) -> None:
+    for _ in range(20):
+        client.publish("/goal")
+        world.turn()
+    client.publish("/stop")
+    assert world.done == ["/goal", "/stop"]
+    world.run()
+    assert world.done[2:] == ["no /goal"] * 19
+
+
 def test_where_all_clients_send_much_the_sockets_are_read_less(world: World) -> None:
     senders = [world.client(step_s=ROUND_S) for _ in range(5)]
     world.client(step_s=ROUND_S).publish("/a")

@@ -7,7 +7,7 @@ The server: ``armbridge serve --simulation physics --record run.mcap``. Afterwar
 import argparse
 import sys
 
-from armbridge_client import ArmError, RequestRefused, connect, pose  # pip install ./clients/python
+from armbridge_client import Arm, ArmError, RequestRefused, connect, pose  # pip install ./clients/python
 from armbridge_client.messages import TriggerRequest
 
 EPISODES, NAME, TASK = 3, "push", "push the block to the right"
@@ -16,6 +16,12 @@ HIGH = {"shoulder_lift": -0.456, "elbow_flex": 0.246, "wrist_flex": 1.6, "wrist_
 LOW = {"shoulder_lift": -0.184, "elbow_flex": 0.628, "wrist_flex": 1.128, "wrist_roll": -1.52}
 LEFT, RIGHT = {"shoulder_pan": -0.5}, {"shoulder_pan": 0.3}
 FINGERS = ("gripper_link", "moving_jaw_so101_v1_link")
+
+
+def put_block(arm: Arm) -> None:
+    """Put the block to its place, wherever it was."""
+    arm.scene.add_box("block", SIZE_M, pose(*AT, SIZE_M[2] / 2))
+    arm.scene.make_movable("block")
 
 
 def main() -> None:
@@ -30,8 +36,7 @@ def main() -> None:
         arm.scene.clear()
         arm.gripper.close()
         arm.move_joints(HIGH | LEFT, speed=0.3)
-        arm.scene.add_box("block", SIZE_M, pose(*AT, SIZE_M[2] / 2))
-        arm.scene.make_movable("block")
+        put_block(arm)
         arm.scene.allow_contact("block", *FINGERS)
         if NAME in arm.teaching.names():
             arm.teaching.delete(NAME)
@@ -41,7 +46,7 @@ def main() -> None:
         print(arm.teaching.end().message)
         for _ in range(EPISODES):
             arm.move_joints(HIGH | LEFT, speed=0.3)
-            arm.call("/simulation/reset", TriggerRequest())
+            put_block(arm)
             arm.episodes.start(TASK)
             arm.teaching.replay(NAME)
             print(arm.episodes.stop())

@@ -86,5 +86,5 @@ def test_ctrl_c_before_the_command_runs_ends_it_in_a_line(place: str, monkeypatc
         monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
     else:
         monkeypatch.setattr(cli, "_parser", press_ctrl_c)
-    with pytest.raises(SystemExit, match="^armbridge: stopped$"):
+    with pytest.raises(SystemExit, match=r"^armbridge: stopped$"):
         armbridge.main()

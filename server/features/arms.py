@@ -107,7 +107,9 @@ class CommissioningOfArms(Feature):
         served, queue, arm = context.served, context.queue, context.arm
         if isinstance(arm, ArmGroup):
             services = ", ".join(f"/{name}{BEGIN}" for name in arm.states)
-            raise OrderRefused(f"one arm is calibrated or verified at a time, by the service of its name: {services}; or armbridge verify --arm NAME")
+            at_terminal = "armbridge verify --arm NAME"
+            sentence = f"one arm is calibrated or verified at a time, by {at_terminal} or the service of its name"
+            raise OrderRefused(f"{sentence}: {services}")
         if busy := queue.busy(context.joints):
             raise OrderRefused(f"the arm is in use: {busy}")
         if procedure == "calibrate":

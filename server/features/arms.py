@@ -107,8 +107,7 @@ class CommissioningOfArms(Feature):
         served, queue, arm = context.served, context.queue, context.arm
         if isinstance(arm, ArmGroup):
             services = ", ".join(f"/{name}{BEGIN}" for name in arm.states)
-            at_terminal = "armbridge verify --arm NAME"
-            sentence = f"one arm is calibrated or verified at a time, by {at_terminal} or the service of its name"
+            sentence = "one arm is calibrated or verified at a time, by armbridge verify --arm NAME or by its service"
             raise OrderRefused(f"{sentence}: {services}")
         if busy := queue.busy(context.joints):
             raise OrderRefused(f"the arm is in use: {busy}")

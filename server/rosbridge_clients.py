@@ -119,6 +119,8 @@ class PublishingClient(ABC):
                     finally:
                         listening.cancel()
                         await asyncio.gather(listening, return_exceptions=True)
+                        # Ended by a signal, `async with` would close it with 1011, an internal error.
+                        await websocket.close()
             except (OSError, WebSocketException, TimeoutError) as error:
                 if self.published > before:
                     delay_s = FIRST_DELAY_S

@@ -248,9 +248,11 @@ async def test_a_client_that_is_ended_closes_its_connection_in_good_order() -> N
     begun, codes = asyncio.Event(), list[int | None]()
 
     async def listen(websocket: ServerConnection) -> None:
-        async for _ in websocket:
-            begun.set()
-        codes.append(websocket.close_code)
+        try:
+            async for _ in websocket:
+                begun.set()
+        finally:
+            codes.append(websocket.close_code)
 
     async with serve(listen, "127.0.0.1", 0) as server:
         port = server.sockets[0].getsockname()[1]

@@ -24,20 +24,20 @@ install-dev: $(VENV)/.installed-dev
 # The pip is what comes last: an environment without one is half made, and is made again. Debian has what makes it in
 # a package of its own.
 $(BIN)/pip:
-	$(PYTHON) -c 'import sys; sys.exit(None if (3, 11) <= sys.version_info < (3, 14) else "armbridge needs Python 3.11, 3.12 or 3.13; name one with make PYTHON=python3.12")'
+	@$(PYTHON) -c 'import sys; sys.exit(None if (3, 11) <= sys.version_info < (3, 14) else "armbridge needs Python 3.11, 3.12 or 3.13; name one with make PYTHON=python3.12")'
 	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { echo "$(PYTHON) cannot make an environment: install its venv (Debian, Ubuntu: apt-get install python3-venv), then call make again" >&2; exit 1; }
 	$(PYTHON) -m venv --clear $(VENV) || { rm -rf $(VENV); exit 1; }
 
 # The lock has all that is needed to run, and less than the packages ask for (requirements-unneeded.txt): --no-deps.
-$(VENV)/.installed: requirements.lock pyproject.toml | $(BIN)/pip
+# The examples need the client.
+$(VENV)/.installed: requirements.lock pyproject.toml clients/python/pyproject.toml | $(BIN)/pip
 	$(PIP) install --quiet --no-deps --require-hashes -r requirements.lock
-	$(PIP) install --quiet --no-deps --editable .
+	$(PIP) install --quiet --no-deps --editable . --editable clients/python
 	touch $@
 
 # The lock is complete. Without --no-deps pip 23 takes the newest coverage for pytest-cov's coverage[toml], and refuses it.
-$(VENV)/.installed-dev: requirements-dev.lock clients/python/pyproject.toml $(VENV)/.installed
+$(VENV)/.installed-dev: requirements-dev.lock $(VENV)/.installed
 	$(PIP) install --quiet --no-deps --require-hashes -r requirements-dev.lock
-	$(PIP) install --quiet --no-deps --editable clients/python
 	touch $@
 
 # With physics (docs/simulation.md): pip install '.[physics]', then make run ARGS="--simulation physics --world cubes".

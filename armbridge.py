@@ -14,7 +14,7 @@ from typing import NoReturn
 
 PACKAGES = ("server", "planners", "robot", "protocol")
 
-REMEDY = "install armbridge in an environment of its own: pipx install armbridge, or uvx armbridge serve"
+REMEDY = "install armbridge in an environment of its own (docs/install.md)"
 
 
 def main() -> NoReturn:
@@ -31,6 +31,8 @@ def main() -> NoReturn:
         if overwritten := find_overwritten():
             sys.exit(f"armbridge: {overwritten}; {REMEDY} ({error})")
         raise
+    except KeyboardInterrupt:
+        sys.exit("armbridge: stopped")
     run_process()
 
 

@@ -67,7 +67,7 @@ moves() {
     cp "$WORK/readme.py" "$ROOT/root/readme.py"
     stranger "make run >/root/server.log 2>&1 & server=\$!
         for _ in \$(seq $START_S); do grep -q 'ws://127.0.0.1:9090' /root/server.log && break; kill -0 \$server || break; sleep 1; done
-        .venv/bin/pip install -q roslibpy && timeout 60 .venv/bin/python /root/readme.py; code=\$?
+        timeout 60 .venv/bin/python /root/readme.py; code=\$?
         .venv/bin/python -c 'import urllib.request as r; print(\"page:\", b\"<canvas\" in r.urlopen(\"http://127.0.0.1:9090/\").read())'
         kill -INT \$(cat /proc/[0-9]*/stat | sed -n 's/^\([0-9]*\) (armbridge).*/\1/p' | head -1) \$server; cat /root/server.log; exit \$code" || fail "the arm was not moved"
 }

@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 
-from armbridge_client import ArmError, RequestRefused, connect  # pip install armbridge-client
+from armbridge_client import ArmError, RequestRefused, connect  # pip install ./clients/python
 
 POINTS = ((0.25, 0.12, 0.2), (0.25, -0.12, 0.2))
 RETRY_PAUSE_S = 1

@@ -4,13 +4,16 @@ import argparse
 import math
 import sys
 
-from armbridge_client import ArmError, connect  # pip install armbridge-client
+from armbridge_client import ArmError, connect  # pip install ./clients/python
 
 
 def joint_angle(text: str) -> tuple[str, float]:
     """Parse ``JOINT=DEGREES``; returns the joint's name and its angle [rad]."""
     name, _, degrees = text.partition("=")
-    return name, math.radians(float(degrees))
+    try:
+        return name, math.radians(float(degrees))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no JOINT=DEGREES, as in shoulder_pan=20") from None
 
 
 def main() -> None:

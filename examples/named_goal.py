@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from armbridge_client import ArmError, connect  # pip install armbridge-client
+from armbridge_client import ArmError, connect  # pip install ./clients/python
 
 
 def main() -> None:

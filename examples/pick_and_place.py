@@ -4,7 +4,7 @@ import argparse
 import sys
 import time
 
-from armbridge_client import Arm, ArmError, RequestRefused, connect, pose  # pip install armbridge-client
+from armbridge_client import Arm, ArmError, RequestRefused, connect, pose  # pip install ./clients/python
 
 SIZE_M, MASS_KG = (0.025, 0.025, 0.05), 0.02
 FROM = (0.2, -0.009)  # x and y of the block [m]

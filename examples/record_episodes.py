@@ -7,7 +7,7 @@ The server: ``armbridge serve --simulation physics --record run.mcap``. Afterwar
 import argparse
 import sys
 
-from armbridge_client import ArmError, connect, pose  # pip install armbridge-client
+from armbridge_client import Arm, ArmError, RequestRefused, connect, pose  # pip install ./clients/python
 from armbridge_client.messages import TriggerRequest
 
 EPISODES, NAME, TASK = 3, "push", "push the block to the right"
@@ -18,15 +18,25 @@ LEFT, RIGHT = {"shoulder_pan": -0.5}, {"shoulder_pan": 0.3}
 FINGERS = ("gripper_link", "moving_jaw_so101_v1_link")
 
 
+def put_block(arm: Arm) -> None:
+    """Put the block to its place, wherever it was."""
+    arm.scene.add_box("block", SIZE_M, pose(*AT, SIZE_M[2] / 2))
+    arm.scene.make_movable("block")
+
+
 def main() -> None:
-    """Teach the motion by goals, and replay it as episodes, the block back in its place."""
+    """Empty the scene, teach the motion by goals, and replay it as episodes, the block back in its place."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
     with connect(parser.parse_args().url) as arm:
+        try:
+            arm.call("/simulation/reset", TriggerRequest())
+        except RequestRefused:
+            sys.exit("this server has no physics: start armbridge serve --simulation physics")
+        arm.scene.clear()
         arm.gripper.close()
         arm.move_joints(HIGH | LEFT, speed=0.3)
-        arm.scene.add_box("block", SIZE_M, pose(*AT, SIZE_M[2] / 2))
-        arm.scene.make_movable("block")
+        put_block(arm)
         arm.scene.allow_contact("block", *FINGERS)
         if NAME in arm.teaching.names():
             arm.teaching.delete(NAME)
@@ -36,7 +46,7 @@ def main() -> None:
         print(arm.teaching.end().message)
         for _ in range(EPISODES):
             arm.move_joints(HIGH | LEFT, speed=0.3)
-            arm.call("/simulation/reset", TriggerRequest())
+            put_block(arm)
             arm.episodes.start(TASK)
             arm.teaching.replay(NAME)
             print(arm.episodes.stop())

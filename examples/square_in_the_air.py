@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from armbridge_client import ArmError, connect, pose  # pip install armbridge-client
+from armbridge_client import ArmError, connect, pose  # pip install ./clients/python
 
 SIDE_M = 0.06
 # In front of the arm, with room on every side [rad].

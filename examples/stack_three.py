@@ -4,7 +4,8 @@ import argparse
 import sys
 import time
 
-from armbridge_client import Arm, ArmError, connect, pose  # pip install armbridge-client
+from armbridge_client import Arm, ArmError, RequestRefused, connect, pose  # pip install ./clients/python
+from armbridge_client.messages import TriggerRequest
 
 EDGE_M, MASS_KG = 0.025, 0.02
 CUBES = {"bottom": (0.2, 0.0), "middle": (0.2, 0.1), "top": (0.2, -0.1)}  # x and y at the start [m]
@@ -41,13 +42,17 @@ def put(arm: Arm, name: str, to: tuple[float, float], foot_m: float) -> None:
 
 
 def main() -> None:
-    """Put the cubes there, stack them, and ask the physics for their poses."""
+    """Empty the scene, put the cubes there, stack them, and ask the physics for their poses."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
     with connect(parser.parse_args().url) as arm:
+        try:
+            arm.call("/simulation/reset", TriggerRequest())
+        except RequestRefused:
+            sys.exit("this server has no physics: start armbridge serve --simulation physics")
+        arm.scene.clear()
         arm.move_joints(START, speed=0.3)
-        # From above, so that a stack of an earlier run is taken apart.
-        for name, at in reversed(CUBES.items()):
+        for name, at in CUBES.items():
             arm.scene.add_box(name, (EDGE_M,) * 3, pose(*at, EDGE_M / 2))
             arm.scene.make_movable(name, mass_kg=MASS_KG)
         arm.scene.allow_contact(*CUBES, *FINGERS)

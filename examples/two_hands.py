@@ -7,7 +7,7 @@ import argparse
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
-from armbridge_client import Arm, ArmError, connect  # pip install armbridge-client
+from armbridge_client import Arm, ArmError, connect  # pip install ./clients/python
 
 
 def turn(arm: Arm, angle_rad: float) -> None:

@@ -45,7 +45,10 @@ THREADS_END_S = 1.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    parser = _parser()
+    try:
+        parser = _parser()
+    except KeyboardInterrupt:
+        sys.exit("armbridge: stopped")
     options, others = parser.parse_known_args(arguments)
     if others:
         known = re.findall(r"--[\w-]+", options.usage)

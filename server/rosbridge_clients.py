@@ -117,6 +117,8 @@ class PublishingClient(ABC):
                     finally:
                         listening.cancel()
                         await asyncio.gather(listening, return_exceptions=True)
+                        # Ended by a signal, `async with` would close it with 1011, an internal error.
+                        await websocket.close()
             except (OSError, WebSocketException, TimeoutError) as error:
                 if self.published > before:
                     delay_s = FIRST_DELAY_S
@@ -127,6 +129,8 @@ class PublishingClient(ABC):
     async def announce(self, connection: ClientConnection) -> None:
         if self._target.token is not None:
             await connection.send(json.dumps({"op": "auth", "token": self._target.token}))
+        # Refusals alone: a doubt about the topic would be wrong as long as nobody subscribes to it.
+        await connection.send(json.dumps({"op": "set_level", "level": "error"}))
         topic = {"topic": self._target.topic, "type": self._type_name}
         await connection.send(json.dumps({"op": "advertise", **topic}))
 

@@ -4,10 +4,14 @@ import os
 import shutil
 import subprocess
 import sys
+from importlib.machinery import ModuleSpec
 from pathlib import Path
+
+import pytest
 
 import armbridge
 from harness.server import ROOT
+from server import cli
 from tests.helpers.programs import run
 from tests.helpers.source import ROOMS
 
@@ -36,7 +40,7 @@ def test_a_package_in_the_way_is_named_with_its_distribution_or_else_by_its_path
     done = start(ROOT, tmp_path)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert done.stderr.startswith(f"armbridge: the package {package} of other-robots 7.1 in {tmp_path / package}")
-    assert "pipx install armbridge" in done.stderr
+    assert "in an environment of its own" in done.stderr
     shutil.rmtree(tmp_path / "other_robots-7.1.dist-info")
     done = start(ROOT, tmp_path)
     assert done.returncode == 1
@@ -58,3 +62,29 @@ def test_a_distribution_that_has_overwritten_our_files_is_named(tmp_path: Path) 
 def test_alone_the_command_runs() -> None:
     done = start(ROOT)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+class Interrupted:
+    """Import of the commands in which somebody presses Ctrl-C."""
+
+    def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
+        if name == "server.cli":
+            raise KeyboardInterrupt
+        return None
+
+
+def press_ctrl_c() -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("place", ["import", "options"])
+def test_ctrl_c_before_the_command_runs_ends_it_in_a_line(place: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")
+    if place == "import":
+        monkeypatch.delitem(sys.modules, "server.cli")
+        monkeypatch.setattr(sys, "meta_path", [Interrupted(), *sys.meta_path])
+    else:
+        monkeypatch.setattr(cli, "_parser", press_ctrl_c)
+    with pytest.raises(SystemExit, match=r"^armbridge: stopped$"):
+        armbridge.main()

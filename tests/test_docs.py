@@ -50,7 +50,7 @@ FOREIGN = (
     "lerobot-",
     "armbridge-dataset ",
     "armbridge-policy ",
-    "pip install 'lerobot_robot_armbridge",
+    "pip install ./clients/python ",
     "git clone REPOSITORY ",
 )
 

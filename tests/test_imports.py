@@ -138,7 +138,7 @@ def test_the_command_line_loads_nothing_of_the_server_before_a_command_needs_it(
 
 
 def test_the_architecture_page_shows_these_imports() -> None:
-    lines = ["| room | imports of ours | purpose |", "|---|---|---|"]
+    lines = ["| package | imports of ours | purpose |", "|---|---|---|"]
     for room, names in ALLOWED.items():
         others = [f"`{name}`" for name in names if name != room]
         lines.append(f"| `{room}/` | {', '.join(others) or 'nothing'} | {PURPOSES[room]} |")

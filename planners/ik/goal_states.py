@@ -77,20 +77,17 @@ def out_of_reach(
         text = "no configuration meets all constraints; in the nearest one"
         return _violated(MoveItErrorCode.NO_IK_SOLUTION, text, violations)
     point = [round(float(value), 4) for value in nearest_m]
-    details: dict[str, Any] = {
-        "nearest_m": point,
-        "distance_m": nearest.position_m,
-        "orientation_rad": nearest.orientation_rad,
-    }
+    details: dict[str, Any] = {"nearest_m": point, "distance_m": nearest.position_m}
+    details |= {"orientation_rad": nearest.orientation_rad, "tolerance_m": goal.tolerance_m}
     if isinstance(goal, PositionGoal) or nearest.position_m > goal.tolerance_m:
         any_will_do = isinstance(goal, PositionGoal) or (isinstance(goal, PoseGoal) and not goal.strict)
         orientation = "whatever its orientation" if any_will_do else "in the orientation asked for"
         sentence = f"cannot reach {in_words(goal.position_m)} m, {orientation}: the nearest point it can reach is"
-        sentence += f" {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away"
+        units = "; positions are in metres" if nearest.position_m > 10.0 else ""  # millimetres, perhaps
+        sentence += f" {in_words(point)} m, {100.0 * nearest.position_m:.1f} cm away{units}"
     else:
         sentence = f"reaches {in_words(goal.position_m)} m, but not in the orientation asked for:"
         sentence += f" the nearest one there is {math.degrees(nearest.orientation_rad):.1f}° off"
-    details["tolerance_m"] = goal.tolerance_m
     return PlanningFailure(MoveItErrorCode.NO_IK_SOLUTION, f"{goal.link!r} {sentence}", details)
 
 

@@ -175,6 +175,8 @@ MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4
 # not: 180 MB at its start, 36 of them used.
 MIN_LOCKABLE_BYTES = 1 << 30
 
+NOT_LOCKED = "memory is not locked, so swapping may delay a real arm (docs/hardware.md)"
+
 
 class Scheduling(NamedTuple):
     """Protection of the loop's ticks against the rest of the machine."""
@@ -201,12 +203,12 @@ def lock_memory() -> bool:
     """Keep memory from being swapped out, unless a low limit would make allocations fail; return True if it is kept."""
     limit_bytes, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if limit_bytes != resource.RLIM_INFINITY and limit_bytes < MIN_LOCKABLE_BYTES:
-        log.info("memory is not locked: RLIMIT_MEMLOCK is %d bytes, less than %d", limit_bytes, MIN_LOCKABLE_BYTES)
+        log.info("%s: RLIMIT_MEMLOCK is %d bytes, less than %d", NOT_LOCKED, limit_bytes, MIN_LOCKABLE_BYTES)
         return False
     import ctypes  # 10 ms of a start that needs it only here
 
     if ctypes.CDLL(None, use_errno=True).mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT):
-        log.info("memory is not locked: mlockall: %s", os.strerror(ctypes.get_errno()))
+        log.info("%s: mlockall: %s", NOT_LOCKED, os.strerror(ctypes.get_errno()))
         return False
     return True
 

@@ -183,7 +183,7 @@ class Commissioning:
     def _begin(self, request: dict[str, Any]) -> str:
         if self._dialogue is not None:
             cancel = self._node.resolve(CANCEL)
-            raise ServiceError(f"{self._dialogue.procedure} is in progress: answer it, or call {cancel}")
+            raise ServiceError(f"{self._dialogue.procedure} is in progress: answer it on the page, or call {cancel}")
         procedure = self._make(request["procedure"], request["name"])
         if self._health is not None:
             procedure.take_health(self._health)

@@ -44,6 +44,7 @@ from server.commands.options import (
     read_hardware,
     read_token,
     signals_wait,
+    websocket_url,
 )
 from server.commands.terminal import ExitCode, Terminal, table
 from server.errors import ConfigurationError
@@ -250,7 +251,7 @@ def add_verify_parser(subparsers: Subparsers) -> None:
         "Ask the server to move the arm slowly to three poses, compare each with the model (on the "
         "server's page), and measure how far each joint stands from its goal. Nothing moves before you say so.",
     )
-    parser.add_argument("--url", default=DEFAULT_URL, help=f"of the server ({DEFAULT_URL})")
+    parser.add_argument("--url", type=websocket_url, default=DEFAULT_URL, help=f"of the server ({DEFAULT_URL})")
     parser.add_argument("--arm", default="", metavar="NAME", help="one of several arms of the server, as in left")
     add_token_file(parser, "access.admin_tokens")
 

@@ -106,7 +106,8 @@ class CommissioningOfArms(Feature):
         served, queue, arm = context.served, context.queue, context.arm
         if isinstance(arm, ArmGroup):
             services = ", ".join(f"/{name}{BEGIN}" for name in arm.states)
-            raise OrderRefused(f"one arm is calibrated or verified at a time, by the service of its name: {services}")
+            sentence = "one arm is calibrated or verified at a time, by armbridge verify --arm NAME or by its service"
+            raise OrderRefused(f"{sentence}: {services}")
         if busy := queue.busy(context.joints):
             raise OrderRefused(f"the arm is in use: {busy}")
         if procedure == "calibrate":

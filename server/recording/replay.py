@@ -78,7 +78,7 @@ async def serve(options: ReplayOptions, summary: Summary) -> None:
         )
         log.info(
             "%s",
-            f"armbridge.recordings {options.path}: {listener.url} (rosbridge), "
+            f"replaying {options.path} on {listener.url} (rosbridge): "
             f"{len(summary.topics)} topics, {summary.messages} messages, {summary.duration_s:.1f} s{incomplete}",
         )
         await unless_ended(ending, _play(player, options), cancel_timeout_s=None)

@@ -182,7 +182,7 @@ class Teleoperation(Feature):
         node.offer(START, "armbridge_msgs/srv/StartTeleop", start, rule=SWITCHING)
         node.offer(STOP, "std_srvs/srv/Trigger", stop, rule=STOPPING)
         node.offer(CLUTCH, "std_srvs/srv/SetBool", set_clutch, rule=SWITCHING)
-        idle = {"phase": "idle", "message": f"nothing follows: {node.resolve(START)} begins", "speed_scale": 1.0}
+        idle = {"phase": "idle", "message": f"no arm follows: call {node.resolve(START)}", "speed_scale": 1.0}
         node.publish(STATE_TOPIC, idle)
 
     @property
@@ -273,7 +273,7 @@ class Teleoperation(Feature):
 
     def _running(self, names: Sequence[str]) -> dict[str, FollowingSession]:
         if not (running := self._sessions(names)):
-            raise ServiceError(f"nothing follows: {START} begins")
+            raise ServiceError(f"no arm follows: call {START}")
         return running
 
     def _sessions(self, names: Sequence[str]) -> dict[str, FollowingSession]:

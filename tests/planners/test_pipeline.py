@@ -115,7 +115,10 @@ def test_a_goal_out_of_reach_or_a_start_outside_the_path_constraints_is_refused_
     assert failure.code is Code.NO_IK_SOLUTION
     assert "4.1 cm" in failure.message
     assert failure.details["distance_m"] == pytest.approx(0.041, abs=0.001)
+    assert "metres" not in failure.message
     setting.solve(setting.problem(Point(TIP, tuple(failure.details["nearest_m"]), 0.001)))
+    in_millimetres = setting.planner.plan(setting.problem(Point(TIP, (250.0, 0.0, 150.0), 0.01)))
+    assert in_millimetres.message.endswith(" cm away; positions are in metres")
     failure = setting.planner.plan(setting.problem(JointGoal({"wrist_roll": 1.0}), path_constraints=ROLLED))
     assert failure.code is Code.START_STATE_VIOLATES_PATH_CONSTRAINTS
     assert failure.details["violations"][0]["joint"] == "wrist_roll"

@@ -45,6 +45,8 @@ class Checkout:
             shutil.copy(ROOT / name, self.folder)
         for name in ("index.html", "package.json", "package-lock.json", "node_version.mjs"):
             shutil.copy(ROOT / "server" / "page" / name, page)
+        (self.folder / "clients" / "python").mkdir(parents=True)
+        shutil.copy(ROOT / "clients" / "python" / "pyproject.toml", self.folder / "clients" / "python")
         shutil.copytree(ROOT / "protocol" / "interfaces", self.folder / "protocol" / "interfaces")
         self.program("python3", PYTHON)
         for name in ("sh", "make", "mkdir", "cp", "touch", "chmod", "rm", "find", "env"):

@@ -68,7 +68,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _share(text: str) -> float:
-    value = float(text)
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
     if not 0.0 < value <= 1.0:
-        raise ValueError(f"must be above 0 and at most 1, not {text}")
+        raise argparse.ArgumentTypeError(f"must be a number above 0 and at most 1, not {text!r}")
     return value

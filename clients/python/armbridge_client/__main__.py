@@ -22,15 +22,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
     parser.add_argument("--arm", default="", help="name of the arm, on a server with several")
+    # Behind the command as well, where many look for them first.
+    server = argparse.ArgumentParser(add_help=False, argument_default=argparse.SUPPRESS)
+    server.add_argument("--url", help="the server")
+    server.add_argument("--arm", help="name of the arm, on a server with several")
     parser.epilog = "An authentication token is read from the environment variable ARMBRIDGE_TOKEN."
     commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("state", help="print mode, joint positions and the tip")
-    move = commands.add_parser("move", help="move to a target")
+    commands.add_parser("state", parents=[server], help="print mode, joint positions and the tip")
+    move = commands.add_parser("move", parents=[server], help="move to a target")
     move.add_argument("target", nargs="+", type=str, help=TARGET_HELP)
     move.add_argument("--speed", type=float, default=0.0, help="share of the velocity limits, above 0 to 1")
-    watch = commands.add_parser("watch", help="print joint positions until Ctrl-C")
+    watch = commands.add_parser("watch", parents=[server], help="print joint positions until Ctrl-C")
     watch.add_argument("--rate", type=float, default=2.0, help="lines a second (default: %(default)s)")
-    commands.add_parser("stop", help="stop the arm along its path")
+    commands.add_parser("stop", parents=[server], help="stop the arm along its path")
     given = parser.parse_args(arguments)
     try:
         target = _target(given.target) if given.command == "move" else ""

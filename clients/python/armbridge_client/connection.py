@@ -373,7 +373,9 @@ class Connection:
         except ssl.SSLError as error:
             raise ConnectError(f"{url}: TLS: {error}; pass tls= for a certificate of your own") from error
         except (InvalidURI, ValueError) as error:
-            raise ConnectError(f"{url}: must be ws://HOST:PORT or wss://HOST:PORT: {error}") from error
+            raise ConnectError(
+                f"{url}: must be ws://HOST:PORT or wss://HOST:PORT, as in ws://127.0.0.1:9090"
+            ) from error
         except (InvalidHandshake, EOFError) as error:
             raise NotArmbridge(f"{url}: the server does not speak WebSocket: {error}") from error
         except OSError as error:
@@ -404,9 +406,10 @@ class Connection:
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise NotArmbridge(f"{url}: the server has no {WHO_SERVICE}, so it is not armbridge") from error
         if info.version.split(".")[:2] != SERVER_VERSION.split("."):
+            wanted = ".".join(info.version.split(".")[:2])
             raise WrongVersion(
                 f"{url}: the server's version is {info.version}, this client is for {SERVER_VERSION}: "
-                f"pip install 'armbridge-client=={'.'.join(info.version.split('.')[:2])}.*'"
+                f"install armbridge-client {wanted}, from clients/python of that version's source"
             )
         return info
 

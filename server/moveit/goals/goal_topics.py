@@ -138,9 +138,9 @@ class GoalTranslator:
         group = options.group or self._group_of(names)
         known = {name: value for name, value in zip(names, positions, strict=True) if name in group.joints}
         if not known:
-            raise invalid(
-                f"no joint of group {group.name} is named; it has {', '.join(group.joints)}", known=list(group.joints)
-            )
+            only = f", only {', '.join(map(repr, names[:5]))}" if names else ""
+            text = f"no joint of group {group.name} is named{only}; the group has {', '.join(group.joints)}"
+            raise invalid(text, known=list(group.joints))
         for name, value in known.items():
             if not math.isfinite(value):
                 raise invalid(f"joint {name}: position must be a finite number, not {value}", joint=name)

@@ -25,6 +25,7 @@ from tests.helpers.programs import UV, environment_with, run
         (["move", "redy"], 1, "INVALID_GOAL_CONSTRAINTS (-16): there is no named target 'redy'"),
         (["move", "1", "2"], 1, "target must be a name (ready), a position"),
         (["move", "elbow_flex=far"], 1, "could not convert string to float: 'far'"),
+        (["state", "--arm", "left"], 1, "the server has no arm 'left'; its arms: one, without a name"),
         (["--arm", "left", "state"], 1, "the server has no arm 'left'; its arms: one, without a name"),
     ],
 )

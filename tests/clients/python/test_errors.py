@@ -130,7 +130,7 @@ async def test_another_rosbridge_server_is_not_armbridge(values: object) -> None
 async def test_another_version_or_description_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     error = await refused(identity("9.7.1"))
     assert isinstance(error, WrongVersion)
-    assert "pip install 'armbridge-client==9.7.*'" in str(error)
+    assert "install armbridge-client 9.7" in str(error)
     monkeypatch.setattr("armbridge_client.interface.TYPES", {**TYPES, "std_msgs/msg/String": "RIHS01_0"})
     error = await refused(identity("0.2.0"))
     assert isinstance(error, WrongVersion)

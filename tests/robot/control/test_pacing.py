@@ -103,7 +103,7 @@ class MemoryLocks:
         (resource.RLIM_INFINITY, 0, ""),
         (1 << 30, 0, ""),
         ((1 << 30) - 1, 0, "RLIMIT_MEMLOCK is 1073741823 bytes"),
-        (resource.RLIM_INFINITY, errno.ENOMEM, "memory is not locked: mlockall: Cannot allocate memory"),
+        (resource.RLIM_INFINITY, errno.ENOMEM, "(docs/hardware.md): mlockall: Cannot allocate memory"),
     ],
 )
 def test_memory_is_locked_as_it_is_used_or_the_cause_is_logged(

@@ -179,8 +179,9 @@ async def test_no_image_leaves_before_the_server_has_taken_the_last_and_then_the
     connection = publishing.connection
     publishing.source.allowed.release()
     await until(lambda: connection.pings)
-    authorized, advertised, image = connection.sent
+    authorized, level, advertised, image = connection.sent
     assert (authorized["op"], image["op"], image["msg"]["format"]) == ("auth", "publish", "jpeg")
+    assert level == {"op": "set_level", "level": "error"}
     assert advertised == {"op": "advertise", "topic": TOPIC, "type": "sensor_msgs/CompressedImage"}
     assert image["msg"]["header"] == {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": "wrist"}
     publishing.source.allowed.release(20)
@@ -241,6 +242,24 @@ async def test_it_connects_again_and_tells_complaints_once(monkeypatch: Any) -> 
             await until(lambda: len(connections) >= 3)
     assert sum("not so" in sentence for sentence in told) == 1
     assert any("trying again in 0.01 s" in sentence for sentence in told)
+
+
+async def test_a_client_that_is_ended_closes_its_connection_in_good_order() -> None:
+    begun, codes = asyncio.Event(), list[int | None]()
+
+    async def listen(websocket: ServerConnection) -> None:
+        try:
+            async for _ in websocket:
+                begun.set()
+        finally:
+            codes.append(websocket.close_code)
+
+    async with serve(listen, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        async with running(client_of(TestPattern(32), url=f"ws://127.0.0.1:{port}")):
+            await asyncio.wait_for(begun.wait(), TIMEOUT_S)
+        await until(lambda: codes)
+    assert codes == [1000]
 
 
 async def test_it_waits_longer_each_time_for_a_server_that_is_not_there(monkeypatch: Any) -> None:

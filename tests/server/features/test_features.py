@@ -61,9 +61,9 @@ async def test_each_of_several_arms_is_commissioned_by_its_name() -> None:
     def begin(arm: str) -> Any:
         return answered(app.graph, f"{arm}/arm/commissioning/begin", procedure="verify", name="").values
 
-    assert "by the service of its name: /left/arm/commissioning/begin, /right/" in begin("")["message"]
+    assert "or by its service: /left/arm/commissioning/begin, /right/" in begin("")["message"]
     assert begin("/left") == {"success": True, "message": "verify begins: see /left/arm/commissioning/state"}
-    busy = "verify is in progress: answer it, or call /left/arm/commissioning/cancel"
+    busy = "verify is in progress: answer it on the page, or call /left/arm/commissioning/cancel"
     assert begin("/left")["message"] == busy
     assert begin("/right")["success"]
     for arm in ("left", "right"):

@@ -201,7 +201,7 @@ async def test_it_shows_its_token_and_advertises_before_the_first_sample(publish
     await publishing.show(*2 * [ArmState(1.0, Mode.DISCONNECTED, ("elbow_flex",), reason="unplugged")])
     assert (publishing.positions, publishing.told) == ([], ["the arm: unplugged"]), "of an arm that is not read"
     await publishing.show(reading(0.5))
-    assert [each["op"] for each in publishing.server.sent] == ["auth", "advertise", "publish"]
+    assert [each["op"] for each in publishing.server.sent] == ["auth", "set_level", "advertise", "publish"]
     assert publishing.server.sent[-1]["msg"]["name"] == ["elbow_flex"]
     assert publishing.server.sent[-1]["msg"]["header"]["stamp"] == {"sec": 0, "nanosec": 500_000_000}
 

@@ -132,7 +132,7 @@ async def test_every_stop_ends_the_following(client: ArmClient, service: str) ->
     while (await client.call(service))["success"] and is_late((await phase_is(client, "idle"))["message"]):
         await follow(client, "/teleop", **PAIR)
     assert "stopped" in client.topics[STATE][-1]["message"]
-    assert (await client.call("/teleop/stop"))["message"] == "nothing follows: /teleop/start begins"
+    assert (await client.call("/teleop/stop"))["message"] == "no arm follows: call /teleop/start"
 
 
 async def test_a_goal_from_elsewhere_ends_the_following(client: ArmClient) -> None:

@@ -37,7 +37,7 @@ def test_an_unknown_named_target_is_rejected_with_those_that_exist(name: str) ->
 def test_an_invalid_joint_goal_is_rejected_with_the_reason() -> None:
     for name, position, words in (
         (["elbow_flex"], [], "1 entries and position 0"),
-        (["knee"], [0.1], "no joint of group arm"),
+        (["knee"], [0.1], "no joint of group arm is named, only 'knee'; the group has shoulder_pan"),
         ([], [], "no joint of group arm"),
         (["elbow_flex", "elbow_flex"], [0.1, 0.2], "elbow_flex is named more than once"),
         (["elbow_flex"], [math.nan], "elbow_flex: position must be a finite number, not nan"),

@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from harness.server import free_port
+from harness.waiting import TIMEOUT_S
 
 Operation = dict[str, Any]
 
@@ -62,14 +63,24 @@ class _Pipe:
 def frame_proxy(port: int, before: Callable[[Operation], None]) -> Iterator[int]:
     """Serve a port of this machine, whose connections go on to another; yield its number."""
     with socket.create_server(("127.0.0.1", free_port())) as listener:
+        connections: list[threading.Thread] = []
+
+        def connect(client: socket.socket) -> None:
+            with client, socket.create_connection(("127.0.0.1", port)) as server:
+                answers = threading.Thread(target=_Pipe(server, client).relay)
+                answers.start()
+                _Pipe(client, server).relay_frames(before)
+                answers.join()
 
         def serve() -> None:
             with suppress(OSError):
                 while True:
-                    client, server = listener.accept()[0], socket.create_connection(("127.0.0.1", port))
-                    threading.Thread(target=_Pipe(client, server).relay_frames, args=(before,), daemon=True).start()
-                    threading.Thread(target=_Pipe(server, client).relay, daemon=True).start()
+                    connections.append(threading.Thread(target=connect, args=listener.accept()[:1]))
+                    connections[-1].start()
 
-        threading.Thread(target=serve, daemon=True).start()
+        accepting = threading.Thread(target=serve)
+        accepting.start()
         yield listener.getsockname()[1]
         listener.shutdown(socket.SHUT_RDWR)
+        for thread in (accepting, *connections):
+            thread.join(TIMEOUT_S)

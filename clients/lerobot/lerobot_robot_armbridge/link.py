@@ -142,7 +142,7 @@ class ArmLink:
 
     @property
     def stops(self) -> int:
-        """Number of the server's stops, as far as it is known here."""
+        """Latest known number of the server's stops."""
         return stops_of(self._arm_state.latched())
 
     def state(self) -> tuple[float, dict[str, float]]:

@@ -34,6 +34,9 @@ FAST = {**FAST_ARMS, "ARMBRIDGE_ARM__UNVERIFIED_SPEED_LIMIT": "1"}
 # Environment of a program that uses the Python client of this checkout, installed or not.
 CLIENT_ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT / "clients" / "python")}
 
+# On a starved machine a client pauses for longer than the 10 s after which its control of the arm ends.
+PATIENT = {"ARMBRIDGE_ACCESS__CONTROL_IDLE_S": "3600"}
+
 READY = re.compile(r"armbridge is ready: ws://[^:]+:(\d+)")
 
 
@@ -82,7 +85,7 @@ class RunningServer:
         self.process = subprocess.Popen(
             [*self.prefix, *self._command()],
             cwd=ROOT if self.program is None else self._data.name,
-            env={**os.environ, "XDG_DATA_HOME": self._data.name, **self.settings},
+            env={**os.environ, "XDG_DATA_HOME": self._data.name, **PATIENT, **self.settings},
             stderr=subprocess.PIPE,
             text=True,
         )

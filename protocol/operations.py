@@ -82,6 +82,8 @@ Truth: TypeAlias = Annotated[bool, BeforeValidator(is_true), Field(description="
 JsonObject: TypeAlias = Annotated[dict[str, Any], Field(description="an object")]
 # Providers that fail give a sentence, an object or nothing; whether it fits is for the one who knows the type.
 Anything: TypeAlias = Annotated[Any, Field(description="any value")]
+# Number of the last stop of the arm that a sender knew of; the one who knows the numbers looks at it.
+StopNumber: TypeAlias = Anything
 Qos: TypeAlias = Annotated[dict[str, Any] | None, Field(description="an object or null")]
 Compression: TypeAlias = Literal["none", "png", "cbor", "cbor-raw"]
 Level: TypeAlias = Annotated[
@@ -127,6 +129,7 @@ class Publish(Operation):
     type: OptionalName = None
     latch: Truth = False
     queue_size: Anything = None
+    after_stop: StopNumber = None
 
 
 _COMPRESSIONS: Mapping[str, Compression] = {name: name for name in get_args(Compression)}
@@ -167,6 +170,7 @@ class CallService(Operation):
     args: Anything = None
     type: Anything = None
     timeout: Seconds = None
+    after_stop: StopNumber = None
 
 
 class AdvertiseService(Operation):
@@ -202,6 +206,7 @@ class SendActionGoal(Operation):
     action_type: Name
     args: Anything = None
     feedback: Flag = False
+    after_stop: StopNumber = None
 
 
 class CancelActionGoal(Operation):
@@ -284,6 +289,9 @@ class Status(Operation):
     level: Level = "info"
     msg: Text
 
+
+# What may ask for a motion.
+Request: TypeAlias = Publish | CallService | SendActionGoal
 
 OPERATIONS: dict[str, type[Operation]] = {
     model.model_fields["op"].default: model for model in Operation.__subclasses__()

@@ -161,8 +161,8 @@ class Arm(ArmClock):
         self._heard_since_s: float | None = None
         self._silent_heartbeats = 0
         self._state_at_s = time.monotonic()
-        # Stop epoch of the last stop of all motion; requests from earlier epochs move nothing any more.
-        self.last_stop = 0
+        # Stop epoch of the last stop of all motion, at first of its start; requests from earlier epochs move nothing.
+        self.last_stop = STOP_EPOCHS.begin()
         self._speed_factor = 1.0
         self._bodies: SetBodies | None = None
         reason = "the arm process is starting"

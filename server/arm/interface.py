@@ -23,6 +23,7 @@ from robot.messages import (
     Pace,
     PlaybackDirection,
 )
+from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import arrival_epoch
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, diagnostic_status, key_values
 from server.errors import ServiceError
@@ -72,7 +73,7 @@ class ArmStateTopics:
         self._robot = robot
         self._node, self._joints = graph.node("arm state"), graph.node("arm")
         # Contents of the last message.
-        self._shown: tuple[Mode, str, Fault | None, Pace, int] | None = None
+        self._shown: tuple[Mode, str, Fault | None, Pace, int, int] | None = None
         self._limits: dict[str, Any] | None = None
         self._joints.advertise(TOPIC, "sensor_msgs/JointState")
         self._node.advertise(STATE_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
@@ -81,12 +82,13 @@ class ArmStateTopics:
         self.take_state(state)
 
     def take_state(self, state: ArmState, last_stop: int = 0) -> None:
-        """Publish a state when it says something new, such as the stop epoch of the arm's last stop."""
-        shown = state.mode, state.reason, state.fault, state.pace, last_stop
+        """Publish a state when it has news, such as a stop of this arm or, for requests that name it, of any part."""
+        stops = STOP_EPOCHS.present
+        shown = state.mode, state.reason, state.fault, state.pace, last_stop, stops
         if shown != self._shown:
             self._shown = shown
             message = status(state, self._robot.name, self._node.resolve(""))
-            message["values"] += key_values({"last_stop": str(last_stop)} | self._ranges)
+            message["values"] += key_values({"last_stop": str(last_stop), "stops": str(stops)} | self._ranges)
             self._node.publish(STATE_TOPIC, message)
 
     def publish_joints(self, state: ArmState) -> None:

@@ -10,6 +10,7 @@ from protocol.messages import Stamp
 from robot.arm_group import ArmGroup
 from robot.errors import OrderRefused
 from robot.messages import ArmHealth, ArmState
+from robot.stop_epochs import STOP_EPOCHS
 from server.access.control_lease import ControlServices
 from server.arm.arms import ArmFiles, read_now
 from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
@@ -48,9 +49,21 @@ class ArmControl(Feature):
             lease = context.access.leases_of_arms.get(each.name, context.access.lease)
             self._control.append(ControlServices(each.graph, lease))
 
+    async def start(self) -> None:
+        STOP_EPOCHS.listeners.add(self._show_stops_soon)
+
     async def stop(self) -> None:
+        STOP_EPOCHS.listeners.discard(self._show_stops_soon)
         for each in self._control:
             each.close()
+
+    def _show_stops_soon(self) -> None:
+        # The stop itself goes first. A client that has its answer finds its number.
+        asyncio.get_running_loop().call_soon(self._show_stops)
+
+    def _show_stops(self) -> None:
+        for name, each in self._arms.items():
+            self._states[name].take_state(each.arm.state, each.arm.last_stop)
 
     def on_state(self, arm: str, state: ArmState) -> None:
         each = self._arms[arm]

@@ -5,7 +5,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from protocol.errors import ProtocolError
+from protocol.errors import OperationError, ProtocolError
 from protocol.operations import (
     ActionFeedback,
     ActionResult,
@@ -17,6 +17,7 @@ from protocol.operations import (
     CancelActionGoal,
     Operation,
     Publish,
+    Request,
     SendActionGoal,
     ServiceResponse,
     SetLevel,
@@ -29,7 +30,8 @@ from protocol.operations import (
 )
 from protocol.registry import Kind
 from protocol.session import Packed, Refusal
-from server.access.authorization import Authorizer
+from server.access.authorization import Authorizer, is_cancel, is_stop
+from server.arrival import arrived_in, epoch_after
 from server.errors import GraphError
 from server.gateway.client_context import ClientContext
 from server.gateway.client_requests import ClientActions, ClientServices, name_and_id
@@ -129,6 +131,8 @@ class Client:
     def carry_out(self, item: Operation | Refusal, waiting: Waiting) -> None:
         if isinstance(item, Refusal):
             self._refuse(item)
+        elif isinstance(item, Request) and item.after_stop is not None:
+            self._carry_out_after_stop(item, waiting)
         else:
             self._carry_out(item, waiting)
         if self.node.identity is None:
@@ -146,6 +150,17 @@ class Client:
                 self.actions.reject_goal(operation.action, operation.id, reason)
             case _:
                 pass
+
+    def _carry_out_after_stop(self, request: Request, waiting: Waiting) -> None:
+        """Carry out a request whose client names the last stop that it knew of; stops and cancels need none."""
+        try:
+            ends = is_stop(request, self._graph) or is_cancel(request, self._graph)
+            epoch = waiting.epoch if ends else epoch_after(request.after_stop, waiting.epoch)
+        except OperationError as error:
+            self.reject(request, str(error))
+        else:
+            with arrived_in(epoch):
+                self._carry_out(request, waiting)
 
     def _carry_out(self, operation: Operation, waiting: Waiting) -> None:
         dialect = self.session.dialect

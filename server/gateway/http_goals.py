@@ -13,10 +13,11 @@ from typing import Any
 
 import orjson
 
-from protocol.errors import describe, one_line, shorten
+from protocol.errors import OperationError, describe, one_line, shorten
 from protocol.operations import CallService, SendActionGoal
+from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Access, Authorizer, rule_of_action, rule_of_service
-from server.arrival import arrived_in
+from server.arrival import arrived_in, epoch_after
 from server.gateway.connection import goals_end_with_client
 from server.gateway.http import HttpResponse, PostedRequest
 from server.graph.actions import GoalStatus, Result
@@ -50,6 +51,9 @@ _STATUSES = {
 }
 _UNPROCESSABLE = HTTPStatus.UNPROCESSABLE_ENTITY
 
+# Status and fields of an answer.
+Answer = tuple[HTTPStatus, Mapping[str, Any]]
+
 
 class _RefusedError(Exception):
     def __init__(self, sentence: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> None:
@@ -75,22 +79,27 @@ class HttpGoals:
             address=posted.address,
         )
         authorizer = Authorizer(node, self._access, self._graph)
-        answered: asyncio.Future[HttpResponse] = asyncio.get_running_loop().create_future()
+        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
 
-        def answer(response: HttpResponse) -> None:
+        def answer(end: Answer) -> None:
             # The goal of a client that has left may end later.
             if not answered.done():
-                answered.set_result(response)
+                answered.set_result(end)
 
         try:
             timeout_s, operation = _timeout_s(posted), self._read(posted.body)
-            with arrived_in(posted.epoch):
+            with arrived_in(epoch_after(operation.after_stop, posted.epoch)):
                 self._send(operation, node, authorizer, answer)
             async with asyncio.timeout(timeout_s):
-                return await answered
+                status, values = await answered
+            # A sender that sees its plan has not seen the stops since it asked for it.
+            stops = STOP_EPOCHS.present if operation.args is None else posted.epoch
+            return HttpResponse.of_json(status, {**values, "stops": stops})
         except _RefusedError as error:
             log.debug("%s: refused: %s", node, error)
             return HttpResponse.of_failure(error.status, str(error))
+        except OperationError as error:
+            return HttpResponse.of_failure(HTTPStatus.BAD_REQUEST, str(error))
         except TimeoutError:
             node.takes_goals_along = True
             sentence = f"the goal did not end within {timeout_s:g} s (?timeout=), so it is cancelled"
@@ -104,7 +113,7 @@ class HttpGoals:
         operation: CallService | SendActionGoal,
         node: Node,
         authorizer: Authorizer,
-        answer: Callable[[HttpResponse], None],
+        answer: Callable[[Answer], None],
     ) -> None:
         graph = self._graph
         if isinstance(operation, CallService):
@@ -134,10 +143,10 @@ class HttpGoals:
         if not isinstance(arm, str) or arm not in ("", *self._arms):
             known = ", ".join(self._arms) or "none, this server has one arm"
             raise _RefusedError(f"field arm: {describe(arm)} is unknown; known: {known}")
-        prefix = f"/{arm}" if arm else ""
+        prefix, after_stop = f"/{arm}" if arm else "", request.pop("after_stop", None)
         if request.get("stop"):
             # Somebody wants the arm to stop, whatever else the request says.
-            return CallService(service=f"{prefix}{STOP_SERVICE}", args={})
+            return CallService(service=f"{prefix}{STOP_SERVICE}")
         given = [name for name in TARGETS if name in request]
         if len(given) != 1:
             got = " and ".join(given) or "none"
@@ -151,10 +160,13 @@ class HttpGoals:
                 raise _RefusedError(f"field gripper: must be an object with position, not {describe(command)}")
             _check_fields(command, GRIPPER_FIELDS, "gripper.")
             return SendActionGoal(
-                action=f"{prefix}{GRIPPER_ACTION}", action_type=GRIPPER_TYPE, args={"command": command}
+                action=f"{prefix}{GRIPPER_ACTION}",
+                action_type=GRIPPER_TYPE,
+                args={"command": command},
+                after_stop=after_stop,
             )
         _check_fields(request, (*MOTIONS, *OPTIONS), "")
-        return CallService(service=f"{prefix}{GOAL_SERVICE}", args=request)
+        return CallService(service=f"{prefix}{GOAL_SERVICE}", args=request, after_stop=after_stop)
 
 
 def _check_fields(given: Mapping[str, Any], known: Collection[str], place: str) -> None:
@@ -175,20 +187,18 @@ def _timeout_s(posted: PostedRequest) -> float:
     return timeout_s
 
 
-def _of_response(response: Response) -> HttpResponse:
+def _of_response(response: Response) -> Answer:
     if not response.ok:
-        return HttpResponse.of_failure(_UNPROCESSABLE, str(response.values))
-    if response.values["success"]:
-        return HttpResponse.of_json(HTTPStatus.OK, response.values)
-    status = _STATUSES.get(response.values.get("code_name", "CONTROL_FAILED"), _UNPROCESSABLE)
-    return HttpResponse.of_json(status, response.values)
+        return _UNPROCESSABLE, {"success": False, "message": str(response.values)}
+    failed = _STATUSES.get(response.values.get("code_name", "CONTROL_FAILED"), _UNPROCESSABLE)
+    return HTTPStatus.OK if response.values["success"] else failed, response.values
 
 
-def _of_result(result: Result) -> HttpResponse:
+def _of_result(result: Result) -> Answer:
     if not result.ok:
-        return HttpResponse.of_failure(_UNPROCESSABLE, str(result.values))
+        return _UNPROCESSABLE, {"success": False, "message": str(result.values)}
     if result.status != GoalStatus.SUCCEEDED:
         sentence = "the goal of the gripper was cancelled, by a stop, another client or another goal"
-        return HttpResponse.of_json(HTTPStatus.CONFLICT, {"success": False, "message": sentence, **result.values})
+        return HTTPStatus.CONFLICT, {"success": False, "message": sentence, **result.values}
     sentence = "the gripper holds an object" if result.values["stalled"] else "the gripper is there"
-    return HttpResponse.of_json(HTTPStatus.OK, {"success": True, "message": sentence, **result.values})
+    return HTTPStatus.OK, {"success": True, "message": sentence, **result.values}

@@ -15,6 +15,7 @@ from armbridge_client.messages import ActionChunkAnswer
 from harness.server import RunningServer, free_port
 from harness.waiting import running, wait_until
 from server.chunks.action_chunks import PAUSE_S
+from tests.helpers.frame_proxy import Operation, frame_proxy
 from tests.helpers.programs import run
 from tests.helpers.resources import is_open
 from tests.lerobot.test_robot import ANSWERS, BIN, OFFLINE, arm, camera, pytestmark, robot, server
@@ -118,6 +119,25 @@ def test_a_first_action_far_away_is_reached_by_a_planned_motion(
     ):
         assert next(followed(arm))
         assert arm.state().position_rad["shoulder_pan"] == pytest.approx(0.9, abs=0.05)
+
+
+def test_a_stop_while_a_chunk_is_computed_or_on_its_way_ends_the_policy_though_no_chunk_came_for_long(
+    server: RunningServer, arm: Arm, tmp_path: Path
+) -> None:
+    arm.move_joints(UPRIGHT)
+    arm.release_control()
+    position_rad = arm.state().position_rad
+
+    def stop(operation: Operation) -> None:
+        if operation["op"] == "publish" and operation["topic"] == "/arm/chunks":
+            arm.stop()
+
+    with policy_server(tmp_path, "ramp") as stub, frame_proxy(server.port, stop) as port:
+        command = [BIN / "armbridge-policy", *robot(port, with_camera=False), f"--openpi.url={stub.url}"]
+        done = run(*command, "--openpi.radians=true", timeout_s=240, env=OFFLINE, cwd=tmp_path)
+    assert "the policy ends: the arm was stopped" in done.stderr
+    assert len(stub.observations) == 1
+    assert arm.state().position_rad == pytest.approx(position_rad, abs=0.02)
 
 
 def test_a_person_pauses_the_policy_steers_and_gives_back(server: RunningServer, arm: Arm, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from lerobot.types import RobotAction, RobotObservation
 from lerobot.utils.decorators import check_if_already_connected
 from lerobot.utils.errors import DeviceNotConnectedError
 
-from armbridge_client import ArmError
+from armbridge_client import ArmError, after_stop
 from armbridge_client.messages import (
     Header,
     JointState,
@@ -86,6 +86,7 @@ class Armbridge(Robot):
     def connect(self, calibrate: bool = True) -> None:  # noqa: ARG002 - lerobot's signature
         """Connect to the server and to the cameras; nothing moves. The arm is calibrated at the server."""
         self._link = ArmLink(self.config)
+        self._stops = self._link.stops
         for camera in self.cameras.values():
             camera.connect()
         log.info("%s connected to %s.", self, self.config.url)
@@ -103,6 +104,7 @@ class Armbridge(Robot):
 
     def get_observation(self) -> RobotObservation:
         """Return the newest measured positions, and the newest image of each camera."""
+        self._stops = self.link.stops
         observation: RobotObservation = dict(self.link.positions())
         for name, camera in self.cameras.items():
             observation[name] = camera.read_latest()
@@ -121,7 +123,7 @@ class Armbridge(Robot):
         link = self.link
         target_rad = link.in_rad(action)
         if self._following is None:
-            self._following = Following(link, target_rad)
+            self._following = Following(link, target_rad, self._stops)
         else:
             self._following.go_to(target_rad)
         return link.in_units(self._following.commanded_rad())
@@ -153,13 +155,14 @@ class Following:
 
     Args:
         target_rad: first target, by the server's joints; the arm goes there by a planned motion.
+        stops: number of the server's stops before the target was decided on.
 
     Raises:
         RequestRefused: the arm cannot follow, with the server's sentence.
     """
 
-    def __init__(self, link: ArmLink, target_rad: dict[str, float]) -> None:
-        self._link = link
+    def __init__(self, link: ArmLink, target_rad: dict[str, float], stops: int) -> None:
+        self._link, self._stops = link, stops
         self._target_rad = target_rad
         self._sent_rad = dict(target_rad)
         self._topic = f"/lerobot/{os.getpid()}_{next(_NUMBERS)}/joint_states"
@@ -202,7 +205,8 @@ class Following:
         self._sending = asyncio.create_task(self._keep_sending())
         request = StartTeleopRequest(follower=self._name, leader=self._topic)
         try:
-            response = await self._connection.call(f"{self._link.prefix}/teleop/start", request, START_TIMEOUT_S)
+            with after_stop(self._stops):
+                response = await self._connection.call(f"{self._link.prefix}/teleop/start", request, START_TIMEOUT_S)
         except BaseException:
             self._sending.cancel()
             raise

@@ -11,6 +11,7 @@ from typing import Generic, TypeVar
 
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, connect
 from armbridge_client.messages import DiagnosticStatus, JointState, KinematicSolverInfo
+from armbridge_client.targets import stops_of
 from armbridge_client.wire import Message
 from lerobot_robot_armbridge.config_armbridge import ServerOptions
 from lerobot_robot_armbridge.units import Units, difference, units_of, units_of_dataset
@@ -116,8 +117,8 @@ class ArmLink:
             self.limits_rad = {each.joint_name: (each.min_position, each.max_position) for each in limits}
             self.speed_rad_s = {each.joint_name: each.max_velocity for each in limits}
             self._check_joints()
-            state = Watch(self.arm, f"{self.prefix}/arm/state", DiagnosticStatus).latched()
-            values = {each.key: each.value for each in state.values}
+            self._arm_state = Watch(self.arm, f"{self.prefix}/arm/state", DiagnosticStatus)
+            values = {each.key: each.value for each in self._arm_state.latched().values}
             self.units = self._checked_units(units_of(self.limits_rad, values, use_degrees=options.use_degrees))
             self._joint_states = Watch(self.arm, joints_topic or f"{self.prefix}/joint_states", JointState)
         except BaseException:
@@ -138,6 +139,11 @@ class ArmLink:
         missing = [name for name in self.server_names.values() if name not in self.limits_rad]
         if missing:
             raise ValueError(f"joints: the server's arm has no {missing}; it has {sorted(self.limits_rad)}")
+
+    @property
+    def stops(self) -> int:
+        """Latest known number of the server's stops."""
+        return stops_of(self._arm_state.latched())
 
     def state(self) -> tuple[float, dict[str, float]]:
         """Return the stamp of the newest joint states [s since the epoch], and positions by the server's joints [rad].

@@ -14,7 +14,7 @@ import draccus
 from lerobot.robots import RobotConfig, make_robot_from_config
 from lerobot.utils.import_utils import register_third_party_plugins
 
-from armbridge_client import ArmError, ControlledByOther, NotPermitted, RequestRefused
+from armbridge_client import ArmError, ControlledByOther, NotPermitted, RequestRefused, after_stop
 from armbridge_client.arm import Chunks
 from armbridge_client.messages import DiagnosticStatus
 from lerobot_robot_armbridge.armbridge import Armbridge
@@ -120,17 +120,20 @@ class PolicyRunner:
         self._robot, self._link = robot, robot.link
         self._state = Watch(robot.link.arm, f"{robot.link.prefix}/arm/chunks/state", DiagnosticStatus)
         self._near = False
+        # Stops before the policy began, or went on after another hand: a later one ends it, however long it computes.
+        self._stops = self._link.stops
 
     def run(self) -> None:
         """Run until an error: PolicyError, ArmError, or TimeoutError of a camera or the joint states."""
         while True:
             self._wait_while_held()
             try:
-                self._follow_next_chunk()
+                with after_stop(self._stops):
+                    self._follow_next_chunk()
             except ControlledByOther as error:
                 log.info("the policy waits: %s", error)
-                self._near = False
                 time.sleep(CONTROL_POLL_S)
+                self._near, self._stops = False, self._link.stops
 
     def _follow_next_chunk(self) -> None:
         config, looked_s = self._config, time.monotonic()
@@ -160,7 +163,7 @@ class PolicyRunner:
             time.sleep(POLL_S)
         log.info("the policy goes on")
         self._policy.reset()
-        self._near = False
+        self._near, self._stops = False, self._link.stops
 
     def _observe(self) -> Observation:
         stamp_s, positions_rad = self._link.state()

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from armbridge_client import AsyncArm, AsyncPlan, GoalRefused, Target, connect_async
+from armbridge_client import AsyncArm, AsyncPlan, GoalRefused, Target, after_stop, connect_async
 from armbridge_client.messages import (
     CompressedImage,
-    DiagnosticStatus,
     GetPositionFKResponse,
     GoalTarget,
     JointState,
@@ -76,8 +76,8 @@ class Options:
     region: Region | None = None
 
 
-# Stops by this program's tool, and the number of the arm's last stop.
-Stops = tuple[int, str]
+# Stops by this program's tool, and the number of the server's stops.
+Stops = tuple[int, int]
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ class Session:
             return
         self._question = Question(text, await self.stops(), self._clock() + APPROVAL_S)
 
-    async def take_answer(self, *, accepted: bool) -> None:
-        """Take a person's answer.
+    def take_answer(self, *, accepted: bool) -> Stops:
+        """Take a person's answer; return the stops before the person was asked.
 
         Raises:
             LimitError: the motion may not begin.
@@ -160,7 +160,7 @@ class Session:
             raise LimitError(
                 f"the approval came after a stop, or later than {APPROVAL_S:g} s: nothing moved; ask again"
             )
-        await self.check_stops(question.stops)
+        return question.stops
 
     def note_stop(self) -> None:
         """Note that the arm is being stopped; motions that wait or are planned do not begin."""
@@ -170,22 +170,18 @@ class Session:
     async def stops(self) -> Stops:
         """Return the stops so far, with every stop of this program that was noted before this call."""
         own = self._own_stops
-        return own, (await self.values()).get("last_stop", "")
+        return own, await (await self.arm()).stops()
 
-    async def check_stops(self, before: Stops) -> None:
-        """Check that the arm was not stopped since earlier stops were counted.
+    def after(self, before: Stops) -> contextlib.AbstractContextManager[None]:
+        """Return the context for the request of a motion, which the server refuses if the arm was stopped meanwhile.
 
         Raises:
-            LimitError: it was.
+            LimitError: this program is about to stop the arm.
         """
-        _, last = await self.stops()
-        if (self._own_stops, last) != before:
+        own, stops = before
+        if own != self._own_stops:
             raise LimitError("the arm was stopped before this motion began: nothing moved; ask again")
-
-    async def values(self) -> Mapping[str, str]:
-        """Return the values of ``/arm/state``."""
-        async with (await self.arm()).topic("/arm/state", DiagnosticStatus) as states:
-            return {pair.key: pair.value for pair in (await states.__anext__()).values}
+        return after_stop(stops)
 
     async def named(self) -> Mapping[str, Mapping[str, float]]:
         """Return the server's named states: joint positions by name [rad]."""

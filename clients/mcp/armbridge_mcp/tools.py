@@ -112,12 +112,14 @@ def make_server(options: Options) -> MCPServer[None]:
         with sentences():
             return await session.stops()
 
-    async def take(answer: Answer, *, server_asks: bool) -> None:
+    def take(answer: Answer, before: Stops, *, server_asks: bool) -> Stops:
+        """Return the stops before the motion was asked for, by the model or, of the person, by this program."""
         if options.asks and not server_asks:
             accepted = isinstance(answer, AcceptedElicitation) and answer.data.approve
-            await session.take_answer(accepted=accepted)
-        elif not isinstance(answer, AcceptedElicitation):
+            return session.take_answer(accepted=accepted)
+        if not isinstance(answer, AcceptedElicitation):
             raise LimitError("not approved")
+        return before
 
     @server.tool(annotations=_LOOKS, structured_output=False)
     async def look(camera: str = "") -> list[Any]:
@@ -169,18 +171,17 @@ def make_server(options: Options) -> MCPServer[None]:
     ) -> str:
         """Move the arm around obstacles, until it is there. Give x, y and z [m], or joints [rad], or a name."""
         with sentences():
-            await take(answer, server_asks=await session.proposes())
+            before = take(answer, before, server_asks=await session.proposes())
             target = session_target(session, x, y, z, joints, named)
             share = limited_speed(speed, options.max_speed)
             async with alone(session):
-                # Without a region the server plans: a stop from now on ends the goal, wherever it is.
                 planned = await session.plan(target, share) if options.region else None
                 arm, proposes = await session.arm(), await session.proposes()
-                await session.check_stops(before)
-                if planned is None or proposes:
-                    await arm.move(target, speed=share, timeout_s=PROPOSAL_S)
-                else:
-                    await planned.execute(timeout_s=60.0 + 2.0 * planned.duration_s)
+                with session.after(before):
+                    if planned is None or proposes:
+                        await arm.move(target, speed=share, timeout_s=PROPOSAL_S)
+                    else:
+                        await planned.execute(timeout_s=60.0 + 2.0 * planned.duration_s)
             await until_rest(await session.arm())
             return short(f"Done. {await state_text(session)}")
 
@@ -198,13 +199,13 @@ def make_server(options: Options) -> MCPServer[None]:
                 raise LimitError(
                     "the gripper needs a token of the role operate; approval is then asked for in your program"
                 )
-            await take(answer, server_asks=False)
+            before = take(answer, before, server_asks=False)
             arm = await session.arm()
             closed, opened = await arm.gripper.range()
             wanted = {"open": opened, "close": closed, "move": position}[action]
             async with alone(session):
-                await session.check_stops(before)
-                grip = await arm.gripper.move(wanted, force)
+                with session.after(before):
+                    grip = await arm.gripper.move(wanted, force)
             return short(f"The gripper is at {grip.position:.3f}{' and holds an object' if grip.holds else ''}.")
 
     @server.tool(annotations=_LOOKS)

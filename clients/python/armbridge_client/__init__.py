@@ -9,7 +9,7 @@ arm.move_to(x=0.25, y=0.0, z=0.12)
 from armbridge_client.arm import Arm, Gripper, Plan, connect
 from armbridge_client.async_arm import AsyncArm, connect_async
 from armbridge_client.async_gripper import AsyncGripper, Grip
-from armbridge_client.connection import ServerInfo
+from armbridge_client.connection import ServerInfo, after_stop
 from armbridge_client.errors import (
     ArmError,
     ConnectError,
@@ -54,6 +54,7 @@ __all__ = [
     "Target",
     "WaitingGoal",
     "WrongVersion",
+    "after_stop",
     "connect",
     "connect_async",
     "pose",

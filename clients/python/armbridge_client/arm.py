@@ -240,6 +240,7 @@ class Arm(Face[AsyncArm]):
     check = blocking(AsyncArm.check)
     states = iterating(AsyncArm.states)
     state = blocking(AsyncArm.state)
+    stops = blocking(AsyncArm.stops)
     link_poses = blocking(AsyncArm.link_poses)
     tip = blocking(AsyncArm.tip)
     stop = blocking(AsyncArm.stop)

@@ -38,7 +38,17 @@ from armbridge_client.messages import (
     TriggerRequest,
 )
 from armbridge_client.motion import MOTION_TIMEOUT_S, AsyncPlan, Motion, check_code, motion_of
-from armbridge_client.targets import Control, State, Target, WaitingGoal, constraints, goal_target, pose, state_of
+from armbridge_client.targets import (
+    Control,
+    State,
+    Target,
+    WaitingGoal,
+    constraints,
+    goal_target,
+    pose,
+    state_of,
+    stops_of,
+)
 from armbridge_client.wire import Message, Response, Service, from_wire
 
 M = TypeVar("M", bound=Message)
@@ -198,7 +208,7 @@ class AsyncArm:
         Raises:
             GoalRefused: there is no such motion.
         """
-        goal = self._qualified(goal_target(target))
+        stops, goal = await self.stops(), self._qualified(goal_target(target))
         named = await self._named_rad(goal.named) if goal.named else {}
         wanted = constraints(goal, named, self.info.tip)
         group = group or self._group([each.joint_name for each in wanted.joint_constraints])
@@ -211,7 +221,7 @@ class AsyncArm:
             simple_response = await self.connection.call(f"{self._prefix}/moveit_goal", simple, timeout_s)
             motion_of(simple_response)
             check_code(response.error_code)
-        return AsyncPlan(self.connection, response.trajectory)
+        return AsyncPlan(self.connection, response.trajectory, stops)
 
     async def plan_path(
         self,
@@ -229,6 +239,7 @@ class AsyncArm:
         Raises:
             GoalRefused: the path cannot be followed to its end; ``details`` has the reached ``fraction``.
         """
+        stops = await self.stops()
         request = GetCartesianPathRequest(
             Header(frame_id=(poses[0].header.frame_id if poses else "") or self.info.frame),
             group_name=self.info.group if self.name else "",
@@ -245,7 +256,7 @@ class AsyncArm:
             sentence = f"only {answer.fraction:.0%} of the path can be followed: {answer.error_code.message}"
             failed = MoveItErrorCode.PLANNING_FAILED
             raise GoalRefused(failed.value, failed.name, sentence, {"fraction": answer.fraction}, None)
-        return AsyncPlan(self.connection, answer.solution)
+        return AsyncPlan(self.connection, answer.solution, stops)
 
     async def check(
         self, *targets: PoseStamped | Mapping[str, float], timeout_s: float = CALL_TIMEOUT_S
@@ -284,6 +295,11 @@ class AsyncArm:
             return await states.__anext__()
         finally:
             await states.aclose()  # type: ignore[attr-defined]
+
+    async def stops(self, timeout_s: float = 5.0) -> int:
+        """Return the number of the server's stops, for :func:`armbridge_client.after_stop`."""
+        async with self.topic("/arm/state", DiagnosticStatus, timeout_s=timeout_s) as states:
+            return stops_of(await states.__anext__())
 
     async def link_poses(self, timeout_s: float = CALL_TIMEOUT_S) -> dict[str, PoseStamped]:
         """Return the poses of all links, by link; their headers name the frame."""

@@ -12,7 +12,8 @@ import json
 import logging
 import ssl
 from collections import deque
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Generic, Literal, TypeVar
@@ -54,6 +55,30 @@ RECONNECT_FIRST_S, RECONNECT_MOST_S = 0.1, 2.0
 WHO_SERVICE = "/arm/who_am_i"
 UNAUTHENTICATED = (401, 429)
 POLICY_VIOLATION = 1008  # RFC 6455, 7.4.1; the server's close code for a missing or wrong token
+
+
+_AFTER_STOP: ContextVar[int | None] = ContextVar("last stop that a decision knew of", default=None)
+
+
+@contextlib.contextmanager
+def after_stop(stops: int) -> Iterator[None]:
+    """Have the server refuse what would move the arm, for requests within, if the arm was stopped since you looked.
+
+    Args:
+        stops: ``stops`` of the State that you decided on, or of ``arm.stops()``; within another one, the lower counts.
+    """
+    outer = _AFTER_STOP.get()
+    token = _AFTER_STOP.set(stops if outer is None else min(outer, stops))
+    try:
+        yield
+    finally:
+        _AFTER_STOP.reset(token)
+
+
+def _request(operation: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an operation with the last stop that its sender knew of."""
+    stops = _AFTER_STOP.get()
+    return {**operation} if stops is None else {**operation, "after_stop": stops}
 
 
 @dataclass(frozen=True)
@@ -279,7 +304,7 @@ class Connection:
             # Kept with the subscriptions, so that it is sent again on the next connection.
             self._registrations[topic] = {"op": "advertise", "id": topic, "topic": topic, "type": message.TYPE}
             await within(CALL_TIMEOUT_S, self._send(self._registrations[topic]), f"topic {topic}")
-        operation = {"op": "publish", "id": topic, "topic": topic, "msg": to_wire(message)}
+        operation = _request({"op": "publish", "id": topic, "topic": topic, "msg": to_wire(message)})
         await within(CALL_TIMEOUT_S, self._send(operation), f"topic {topic}")
 
     def subscribe(
@@ -340,7 +365,7 @@ class Connection:
         answer: asyncio.Future[Mapping[str, Any]] = asyncio.get_running_loop().create_future()
         self._answers[number] = answer
         try:
-            await self._send({**operation, "id": number})
+            await self._send(_request({**operation, "id": number}))
             operation = await within(timeout_s, answer, f"{name}: no answer")
             return {**operation, "complaint": self._complaints.get(number, "")}
         finally:

@@ -6,7 +6,7 @@ import dataclasses
 import json
 from typing import Any
 
-from armbridge_client.connection import Connection
+from armbridge_client.connection import Connection, after_stop
 from armbridge_client.errors import GoalRefused
 from armbridge_client.messages import (
     Duration,
@@ -39,12 +39,15 @@ class Motion:
 class AsyncPlan:
     """A planned motion, which has not moved anything.
 
+    Args:
+        stops: number of the server's stops before it was planned.
+
     Attributes:
         trajectory: positions over time.
     """
 
-    def __init__(self, connection: Connection, trajectory: RobotTrajectory) -> None:
-        self._connection = connection
+    def __init__(self, connection: Connection, trajectory: RobotTrajectory, stops: int) -> None:
+        self._connection, self._stops = connection, stops
         self.trajectory = trajectory
 
     @property
@@ -60,10 +63,11 @@ class AsyncPlan:
             speed: share of the planned speed, above 0 to 1.
 
         Raises:
-            GoalRefused: the arm is elsewhere by now, something is in the way, or the motion was stopped.
+            GoalRefused: the arm is elsewhere by now or was stopped since the plan began, or something is in the way.
         """
         goal = ExecuteTrajectoryGoal(slower(self.trajectory, speed))
-        values = await self._connection.perform("/execute_trajectory", goal, timeout_s)
+        with after_stop(self._stops):
+            values = await self._connection.perform("/execute_trajectory", goal, timeout_s)
         check_code(from_wire(ExecuteTrajectoryResult, values).error_code)
         return Motion(self.duration_s / speed, "the plan is carried out")
 

@@ -42,6 +42,7 @@ class State:
         mode: disconnected, connected, relaxed, holding, moving or fault; empty if unknown yet.
         fault: code of the fault, empty without one.
         message: the server's sentence about the arm.
+        stops: number of the server's stops, for :func:`armbridge_client.after_stop`.
     """
 
     stamp_s: float
@@ -51,6 +52,7 @@ class State:
     mode: str = ""
     fault: str = ""
     message: str = ""
+    stops: int = 0
 
 
 @dataclass(frozen=True)
@@ -147,4 +149,10 @@ def state_of(joints: JointState, arm: DiagnosticStatus) -> State:
         values.get("mode", ""),
         values.get("fault", ""),
         arm.message,
+        stops_of(arm),
     )
+
+
+def stops_of(arm: DiagnosticStatus) -> int:
+    """Return the number of the server's stops, of a message about the arm."""
+    return next((int(pair.value) for pair in arm.values if pair.key == "stops"), 0)

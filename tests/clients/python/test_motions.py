@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armbridge_client import Arm, GoalRefused, RequestRefused, connect_async, pose
+from armbridge_client import Arm, GoalRefused, RequestRefused, after_stop, connect, connect_async, pose
 from armbridge_client.messages import String
 from harness.server import RunningServer
 from harness.waiting import TIMEOUT_S
@@ -34,6 +34,30 @@ def test_a_plan_moves_nothing_until_it_is_executed_and_nothing_from_elsewhere(ar
     assert arm.state().position_rad["elbow_flex"] == pytest.approx(0.5, abs=0.02)
     with pytest.raises(GoalRefused):
         plan.execute()
+
+
+def test_a_stop_since_the_program_looked_or_planned_refuses_the_motion_and_a_new_look_does_not(
+    server: RunningServer, arm: Arm
+) -> None:
+    arm.move_named("home")
+    with connect(server.url) as other:
+        state, plan = arm.state(), arm.plan("ready")
+        other.stop()
+        with after_stop(state.stops):
+            for move in (lambda: arm.move_named("ready"), arm.gripper.open):
+                with pytest.raises(GoalRefused, match="PREEMPTED"):
+                    move()
+            # A newer number within an older one counts for nothing, and a stop needs none.
+            with after_stop(arm.stops()), pytest.raises(GoalRefused, match="the arm was stopped"):
+                arm.move_named("ready")
+            arm.stop()
+        with pytest.raises(GoalRefused, match="the arm was stopped"):
+            plan.execute()
+    assert arm.state().position_rad["elbow_flex"] == pytest.approx(0.0, abs=0.02)
+    with after_stop(arm.state().stops):
+        arm.plan("ready").execute()
+    with after_stop(arm.stops() + 1), pytest.raises(RequestRefused, match="field after_stop: must be a whole number"):
+        arm.move_named("home")
 
 
 def test_a_number_out_of_range_is_refused_before_it_is_sent(arm: Arm) -> None:

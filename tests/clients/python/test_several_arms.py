@@ -2,7 +2,7 @@
 
 import pytest
 
-from armbridge_client import ArmError, GoalRefused, connect, pose
+from armbridge_client import ArmError, GoalRefused, after_stop, connect, pose
 from harness.server import FAST_ARMS, ROOT, RunningServer
 
 
@@ -32,5 +32,15 @@ def test_each_arm_has_its_own_names() -> None:
         assert left.check({"elbow_flex": 0.1}, pose(0.25, 0.0, 0.2))[1].reachable
         with pytest.raises(ArmError, match="poses of the arm right cannot be checked"):
             right.check(pose(0.25, 0.0, 0.2))
-        left.other("").move("home", group="both_arms")
-        right.stop()
+        both = left.other("")
+        both.move("home", group="both_arms")
+        # A stop of one arm is none of the other.
+        with after_stop(both.stops()):
+            right.stop()
+            left.move_joints({"shoulder_pan": 0.1})
+            for move in (
+                lambda: right.move_joints({"shoulder_pan": 0.1}),
+                lambda: both.move("ready", group="both_arms"),
+            ):
+                with pytest.raises(GoalRefused, match="the arm was stopped"):
+                    move()

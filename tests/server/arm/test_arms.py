@@ -13,6 +13,7 @@ from robot.errors import CalibrationError, OrderRefused
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import IdealConfig
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
+from robot.stop_epochs import STOP_EPOCHS
 from server.arm.arms import JoinedBeat, joined_robot, read_arms, without_prefix
 from server.arm.calibrating import LEAST_STATE_RATE_HZ, calibration_file, check_state_rate
 from server.arm.interface import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, states_are_observed
@@ -156,8 +157,12 @@ def test_a_state_is_published_when_it_says_something_new_and_a_fault_with_its_re
         heard.topics.take_state(ArmState(stamp_s, Mode.HOLDING, ("a",), position_rad=np.array([stamp_s])))
     for last_stop in (3, 3, 4):
         heard.topics.take_state(ArmState(4.0, Mode.MOVING, ("a",)), last_stop)
-    told = [(values_of(state)["mode"], values_of(state)["last_stop"]) for state in heard.states[1:]]
-    assert told == [("holding", "0"), ("moving", "3"), ("moving", "4")]
+    # A stop of another part, which a client may name as the last one that it knew of.
+    stops = [STOP_EPOCHS.present, STOP_EPOCHS.begin()]
+    heard.topics.take_state(ArmState(4.0, Mode.MOVING, ("a",)), 4)
+    told = [(values["mode"], values["last_stop"], values["stops"]) for values in map(values_of, heard.states[1:])]
+    before, now = map(str, stops)
+    assert told == [("holding", "0", before), ("moving", "3", before), ("moving", "4", before), ("moving", "4", now)]
     gripper = nominal_calibration().joints[-1]
     ends = values_of(heard.states[0])["calibrated_range_rad.gripper"].split()
     assert [float(end) for end in ends] == pytest.approx([gripper.lower_rad, gripper.upper_rad], abs=1e-5)

@@ -77,6 +77,16 @@ async def test_a_stop_whose_message_does_not_fit_stops(client: ArmClient) -> Non
         await client.until("/arm/state", lambda states, before=before: values_of(states[-1])["last_stop"] != before)
 
 
+async def test_every_kind_of_stop_is_numbered_and_a_stop_of_a_part_is_none_of_the_arm(client: ArmClient) -> None:
+    for service in ("/arm/stop", "/arm/chunks/stop", "/servo_node/stop_servo", "/teleop/stop"):
+        before = values_of((await client.until("/arm/state", bool))[-1])
+        await client.call(service)
+        states = await client.until(
+            "/arm/state", lambda states, stops=before["stops"]: int(values_of(states[-1])["stops"]) > int(stops)
+        )
+        assert (values_of(states[-1])["last_stop"] > before["last_stop"]) == (service == "/arm/stop")
+
+
 @pytest.mark.parametrize("msg", [{}, None], ids=["empty", "that does not fit"])
 async def test_whatever_is_published_on_the_topic_stops(client: ArmClient, msg: Any) -> None:
     await client.say("advertise", topic="/emergency_stop", type="std_msgs/Empty")

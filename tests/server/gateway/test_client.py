@@ -1,5 +1,6 @@
 import json
 import logging
+import math
 from typing import Any
 
 import bson
@@ -9,10 +10,12 @@ from protocol.codecs import png
 from protocol.limits import Limits
 from protocol.operations import Auth
 from protocol.session import Refusal
+from robot.stop_epochs import STOP_EPOCHS
 from server.access.settings import AccessSettings
+from server.arrival import arrival_epoch
 from server.errors import UnsuccessfulError
 from server.gateway.client_context import MAX_UNASKED_ERRORS
-from server.graph.permissions import Identity, Node, Role
+from server.graph.permissions import STOPPING, Identity, Node, Role
 from server.graph.topics import Subscriber
 from tests.helpers.gateway import InProcess
 
@@ -56,6 +59,64 @@ def test_a_service_without_a_field_for_the_reason_of_its_failure_tells_it_by_a_s
     sentence = "call_service: service /save: the disk is full"
     assert status == {"op": "status", "level": "error", "msg": sentence, "id": "s1"}
     assert (response["values"], response["result"]) == ({"success": False}, True)
+
+
+class TestAfterStop:
+    """Requests that name the last stop that their client knew of."""
+
+    @pytest.fixture
+    def epochs(self, world: InProcess) -> list[int]:
+        """Stop epochs of the requests that were carried out."""
+        server, epochs = Node("server"), list[int]()
+
+        def take(_request: object) -> dict[str, Any]:
+            epochs.append(arrival_epoch())
+            return {}
+
+        world.graph.services.offer(server, "/move", "std_srvs/srv/Trigger", take)
+        world.graph.services.offer(server, "/halt", "std_srvs/srv/Trigger", take, rule=STOPPING)
+        world.graph.subscribe(server, "/goal", "std_msgs/String", Subscriber(take))
+        world.graph.actions.offer(server, "/act", "control_msgs/action/PointHead", take)
+        return epochs
+
+    @pytest.mark.parametrize("number", [int, float])
+    def test_a_request_is_as_old_as_the_stop_that_it_names(
+        self, world: InProcess, epochs: list[int], number: Any
+    ) -> None:
+        requests: tuple[dict[str, Any], ...] = (
+            {"op": "call_service", "service": "/move"},
+            {"op": "publish", "topic": "/goal", "msg": {"data": "go"}},
+            # Published the quick way where no stop is named.
+            {"op": "publish", "topic": "/goal", "msg": {"data": "go"}},
+            {"op": "send_action_goal", "action": "/act", "action_type": "control_msgs/PointHead"},
+        )
+        for request in requests:
+            seen, later = STOP_EPOCHS.begin(), STOP_EPOCHS.begin()
+            for named in (number(seen), number(later), None):
+                world.say("x", **request, after_stop=named)
+            world.say("x", **request)
+            assert epochs[-4:] == [seen, later, later, later], request
+
+    def test_a_number_that_the_server_has_not_made_is_refused_with_its_limits(
+        self, world: InProcess, epochs: list[int]
+    ) -> None:
+        present = STOP_EPOCHS.begin()
+        limits = (
+            f"field after_stop: must be a whole number from 0 to {present}, the present value of stops in /arm/state"
+        )
+        numbers = (-1, present + 1, 10**30, 0.5, math.nan, math.inf, True, False, "7", [present], {})
+        for number in numbers:
+            world.say("x", op="call_service", service="/move", after_stop=number)
+            response = world.heard("x")[-1]
+            assert (response["op"], response["result"]) == ("service_response", False), number
+            assert response["values"].startswith(f"{limits}, not "), number
+            world.say("x", op="publish", topic="/goal", msg={"data": "go"}, after_stop=number)
+        assert response["values"] == f"{limits}, not an object of 0 fields"
+        assert not epochs
+        # A stop needs none, so that nothing is wrong with any.
+        for number in numbers:
+            world.say("x", op="call_service", service="/halt", after_stop=number)
+        assert epochs == [present] * len(numbers)
 
 
 class TestRefused:

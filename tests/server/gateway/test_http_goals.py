@@ -105,16 +105,17 @@ async def test_a_goal_gets_the_one_answer_of_its_service(door: Door, ended: dict
     call = await door.arm.call()
     assert (call.request["named"], call.request["velocity_scaling"], str(call.caller)[:5]) == ("ready", 0.1, "plc (")
     call.succeed(ended)
-    assert await door.answer(reader) == (status, door.arm.ends[0].values)
+    assert await door.answer(reader) == (status, {**door.arm.ends[0].values, "stops": STOP_EPOCHS.present})
     # As of a client that has left: the arm is free for others.
     assert door.access.lease.holder is None
     assert not door.access.drivers
 
 
 async def test_a_stop_needs_no_more_than_the_right_to_look_and_stops_beside_other_fields_too(door: Door) -> None:
-    assert await door.post({"stop": True}, token=VIEWER) == (200, {"success": True, "message": "stopped"})
-    for asked in ({**READY, "stop": True}, {"stop": 1}, {"stop": "now", "speed": 3}):
-        assert await door.post(asked) == (200, {"success": True, "message": "stopped"}), asked
+    stopped = {"success": True, "message": "stopped", "stops": STOP_EPOCHS.present}
+    assert await door.post({"stop": True}, token=VIEWER) == (200, stopped)
+    for asked in ({**READY, "stop": True}, {"stop": 1}, {"stop": "now", "speed": 3}, {"stop": True, "after_stop": -1}):
+        assert await door.post(asked) == (200, stopped), asked
 
 
 @pytest.mark.parametrize(
@@ -144,6 +145,13 @@ async def test_a_mistake_is_one_sentence_that_names_it(door: Door) -> None:
         ([1], (), 400, "the body must be a JSON object, not a list of 1"),
         ({}, (), 400, "exactly one of named, joints, pose, gripper, stop must be given, not none"),
         ({**READY, "stop": False}, (), 400, "not named and stop"),
+        ({**READY, "after_stop": -1}, (), 400, "field after_stop: must be a whole number from 0 to"),
+        (
+            {"gripper": {"position": 0}, "after_stop": "now"},
+            (),
+            400,
+            "the present value of stops in /arm/state, not 'now'",
+        ),
         ({**READY, "speed": 1}, (), 400, "field speed: unknown here; known: named, joints, pose, group"),
         ({"stop": False}, (), 400, "field stop: must be true, not false"),
         ({"gripper": 0.5}, (), 400, "field gripper: must be an object with position, not 0.5"),
@@ -248,4 +256,14 @@ async def test_a_stop_while_the_body_comes_is_later_than_the_goal(door: Door, co
     door.writer.write(BODY)
     (await door.arm.call()).succeed({})
     assert door.arm.epochs == [before]
-    await door.answer(continued)
+    # Nor is it known to who reads the answer, and names it with the next goal.
+    assert (await door.answer(continued))[1]["stops"] == before
+
+
+async def test_a_goal_is_as_old_as_the_stop_that_it_names(door: Door) -> None:
+    seen = STOP_EPOCHS.begin()
+    STOP_EPOCHS.begin()
+    reader = await door.open({**READY, "after_stop": seen})
+    (await door.arm.call()).succeed({"success": True})
+    await door.answer(reader)
+    assert door.arm.epochs == [seen]

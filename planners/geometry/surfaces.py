@@ -54,31 +54,22 @@ class TriangleSurface:
     @cached_property
     def points_m(self) -> Vector:
         """Outermost vertices of each connected body, shape (bodies, 6, 3) [m]."""
-        body = self._bodies()
-        order = np.argsort(body, kind="stable")
-        # A mesh of loose triangles has as many bodies: all are looked at together.
-        starts = np.flatnonzero(np.diff(body[order], prepend=-1))
-        sizes, outermost = np.diff(starts, append=len(order)), []
-        for extreme in (np.minimum, np.maximum):
-            for along_m in self._vertices_m[order].T:
-                there = np.flatnonzero(along_m == np.repeat(extreme.reduceat(along_m, starts), sizes))
-                outermost.append(order[there[np.searchsorted(there, starts)]])
-        points_m: Vector = self._vertices_m[np.stack(outermost, axis=1)]
-        return points_m[np.isin(body[order[starts]], self._triangles)]
-
-    def _bodies(self) -> NDArray[np.intp]:
-        """Return the body of each vertex, by the number of one of its vertices."""
         body = np.arange(len(self._vertices_m))
         first, second = np.concatenate((self._triangles[:, :2], self._triangles[:, 1:])).T
         while len(first):
-            one, other = body[first], body[second]
-            for each in (one, other):
-                np.minimum.at(body, each, np.minimum(one, other))
-            while not np.array_equal(further := body[body], body):
+            ends = body[first], body[second]
+            for each in ends:
+                np.minimum.at(body, each, np.minimum(*ends))
+            while not np.array_equal(body, further := body[body]):
                 body = further
             apart = body[first] != body[second]
             first, second = first[apart], second[apart]
-        return body
+        # A mesh of loose triangles has as many bodies: all are looked at together.
+        bodies, ordered = np.unique(body[self._triangles[:, 0]]), np.sort(body)
+        sides = np.searchsorted(ordered, bodies), np.searchsorted(ordered, bodies, "right") - 1
+        along = [np.lexsort((coordinate, body)) for coordinate in self._vertices_m.T]
+        outermost: Vector = self._vertices_m[np.stack([each[side] for side in sides for each in along], axis=1)]
+        return outermost
 
     @cached_property
     def box_m(self) -> tuple[Vector, Vector]:

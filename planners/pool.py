@@ -1,9 +1,8 @@
 """Planner processes of one server: some at work, one a warm spare, each replaced when it ends.
 
-The server awaits :meth:`PlannerPool.ask`. Cancelling that await stops the worker, by a message first and by force when
-it does not listen; the spare is free meanwhile. A problem that takes longer than most is searched by idle workers too,
-until a request needs them (:mod:`planners.race`). Every request gets exactly one answer, at the latest a grace period
-after its allowed time.
+The server awaits :meth:`PlannerPool.ask`. Cancelling that await stops the worker, by a message first, else by force. A
+problem that takes longer than most is searched by idle workers too, until a request needs them (:mod:`planners.race`).
+Every request gets exactly one answer, at the latest a grace period after its allowed time.
 """
 
 from __future__ import annotations
@@ -402,6 +401,7 @@ class PlannerPool(Planners):
 
     def _on_exit(self, worker: WorkerProcess) -> None:
         self._workers.remove(worker)
+        self._idle = [each for each in self._idle if each is not worker]
         if self._closing.is_set() or self._robot_refused:
             return
         # The socket of this process, which is closed behind this call, belongs to the next one.

@@ -39,8 +39,9 @@ ATTACHED_TYPE = "moveit_msgs/msg/AttachedCollisionObject"
 # A scene of 1000 boxes has half a megabyte, a mesh of 200 000 triangles 15 MB; reading takes a second for 60 MB.
 MAX_FILE_BYTES = 64_000_000
 
-# A disk that takes longer keeps the scene, and the server begins without it.
-RESTORING_TIMEOUT_S = 20.0
+# A disk that takes longer to read keeps the scene, and the server begins without it. What takes longer to write goes on
+# being written, and the server goes on and ends without it.
+DISK_TIMEOUT_S = 20.0
 
 # A change is written after so long, with all that have come meanwhile: clients build scenes object by object, and move
 # objects many times a second.
@@ -56,7 +57,7 @@ class SavedScene:
     def __init__(self, path: Path, state: SceneState, message_types: MessageTypes) -> None:
         self._path = path
         self._lock = files.FileLock(path)
-        self._disk = Disk(RESTORING_TIMEOUT_S)
+        self._disk = Disk(DISK_TIMEOUT_S)
         self._state = state
         self._message_types = message_types
         self._kept = state.contents
@@ -131,7 +132,8 @@ class SavedScene:
         # What cannot be written is not tried again before the next change.
         self._kept = contents
         try:
-            await asyncio.to_thread(self._replace, kept_message(contents, self._state.robot))
+            message = kept_message(contents, self._state.robot)
+            await self._disk.do(lambda: self._replace(message))
         except Exception as error:  # a bug in writing one scene does not keep the next ones from it
             if not self._failing:
                 bug = not isinstance(error, OSError | ValueError)

@@ -200,7 +200,9 @@ async def test_workers_come_back_where_clients_have_used_up_all_descriptors(both
     # The pool cannot have heard of it yet, as this does not give the event loop a turn.
     wait_until(lambda: not any(map(runs, before)))
     with no_descriptors_left():
-        await until(lambda: both_idle.idle_count == 2 and not before & set(both_idle.pids))
+        await until(lambda: both_idle.loaded_count == 2 and not before & set(both_idle.pids))
+    # A worker that died while it was idle is idle no more.
+    assert both_idle.idle_count == 2
     assert isinstance(await both_idle.ask(EASY), Plan)
 
 

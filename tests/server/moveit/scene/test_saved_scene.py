@@ -15,7 +15,14 @@ from server.graph.permissions import Role
 from server.graph.topics import Graph
 from server.moveit.scene import saved_scene
 from server.moveit.scene.interface import EVERYTHING, NO_STATE, scene_message
-from server.moveit.scene.saved_scene import DELAY_S, WRITING_SHARE, NamedScenes, SavedScene, offer_named_scenes
+from server.moveit.scene.saved_scene import (
+    DELAY_S,
+    DISK_TIMEOUT_S,
+    WRITING_SHARE,
+    NamedScenes,
+    SavedScene,
+    offer_named_scenes,
+)
 from server.moveit.scene.scene_state import SceneState
 from server.named_files import read_json
 from tests.helpers.clock import SteppedLoop
@@ -218,6 +225,17 @@ async def test_a_server_begins_without_a_scene_that_its_disk_does_not_give(
     monkeypatch.setattr(asyncio, "to_thread", in_thread)
     await SavedScene(path, SceneState(ROBOT), MessageTypes(REGISTRY)).start()
     assert f"not kept: {path} cannot be read: the disk does not answer within 20 s" in caplog.text
+
+
+async def test_a_server_goes_on_and_ends_though_its_disk_does_not_take_the_scene(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Run(path) as run:
+        monkeypatch.setattr(asyncio, "to_thread", lambda *_work: asyncio.Event().wait())
+        run.add("a")
+        await asyncio.sleep(WRITTEN_S + DISK_TIMEOUT_S)
+        run.add("b")
+    assert caplog.text.count("the disk does not answer within 20 s") == 1
 
 
 async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,13 +68,13 @@ def first_contact(space: JointSpace, curve: Cubics, step_m: float) -> float | No
     places = np.interp(np.linspace(0.0, travel_m[-1], 2 * looks + 1), travel_m, np.arange(len(travel_m)))
     pieces = np.minimum(places.astype(np.int64), len(curve.coefficients) - 1)
     before, after = curve.travelled_rad[pieces], curve.travelled_rad[pieces + 1]
-    moved_rad = np.diff(before + (places - pieces)[:, np.newaxis] * (after - before), axis=0)
+    # How much of its clearance each pair may have lost from the start to each place, shape (places, pairs + 1).
+    way_m = (before + (places - pieces)[:, np.newaxis] * (after - before)) @ space.approach_m_per_rad.T
+    margins_m = np.diff(way_m, axis=0).reshape(looks, 2, -1).max(axis=1)
     for i in range(1, len(places), 2):
-        margin_m = (moved_rad[i - 1 : i + 1] @ space.approach_m_per_rad.T).max(axis=0)
-        point = curve.point(int(pieces[i]), float(places[i] - pieces[i]))
-        around = places[i - 1 : i + 2].tolist()
-        near = space.near(point, margin_m)
-        contacts = (_first_of_pair(space, curve, pair, around, clearance_m, step_m) for pair, clearance_m in near)
+        near = space.near(curve.point(int(pieces[i]), float(places[i] - pieces[i])), margins_m[i // 2])
+        around, ways_m = places[i - 1 : i + 2], way_m[i - 1 : i + 2].T
+        contacts = (_first_of_pair(space, curve, pair, around, ways_m[pair], clear_m, step_m) for pair, clear_m in near)
         found = min((place for place in contacts if place is not None), default=None)
         if found is not None:
             return found
@@ -82,17 +82,17 @@ def first_contact(space: JointSpace, curve: Cubics, step_m: float) -> float | No
 
 
 def _first_of_pair(
-    space: JointSpace, curve: Cubics, pair: int, around: Sequence[float], clearance_m: float, step_m: float
+    space: JointSpace, curve: Cubics, pair: int, around: Vector, around_m: Vector, clearance_m: float, step_m: float
 ) -> float | None:
     """Find the first contact of a pair between the first and last of three places, with its clearance in the middle."""
     first = int(around[0])
-    # How much of its clearance the pair may have lost at the ends of the pieces.
+    # The same at the ends of the pieces.
     way_m = (curve.travelled_rad[first : int(around[2]) + 2] @ space.approach_m_per_rad[pair]).tolist()
-    begin_m, middle_m, end_m = (_way_at(way_m, place - first) for place in around)
+    begin_m, middle_m, end_m = around_m.tolist()
     # Parts of the way, the first one last.
     left, found = [(middle_m + clearance_m, end_m), (begin_m, middle_m - clearance_m)], None
     if clearance_m <= 0.0:
-        left, found, step_m = [(begin_m, middle_m)], around[1], max(step_m, EARLIEST_STEP_M)
+        left, found, step_m = [(begin_m, middle_m)], float(around[1]), max(step_m, EARLIEST_STEP_M)
     while left:
         begin_m, end_m = left.pop()
         if end_m - begin_m <= step_m:
@@ -107,12 +107,6 @@ def _first_of_pair(
             left, found = [(begin_m, middle_m)], first + piece + share
             step_m = max(step_m, EARLIEST_STEP_M)
     return found
-
-
-def _way_at(way_m: Sequence[float], place: float) -> float:
-    """Return the way at a place in pieces from its first end."""
-    piece = min(int(place), len(way_m) - 2)
-    return way_m[piece] + (place - piece) * (way_m[piece + 1] - way_m[piece])
 
 
 def line_free(space: JointSpace, start: Vector, end: Vector) -> bool:

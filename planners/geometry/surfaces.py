@@ -54,16 +54,21 @@ class TriangleSurface:
     @cached_property
     def points_m(self) -> Vector:
         """Outermost vertices of each connected body, shape (bodies, 6, 3) [m]."""
-        body, joined = np.zeros(0, dtype=int), np.arange(len(self._vertices_m))
-        while not np.array_equal(body, joined):
-            body, joined = joined, joined.copy()
-            np.minimum.at(joined, self._triangles.ravel(), np.repeat(body[self._triangles].min(axis=1), 3))
-            joined = joined[joined]
+        body = np.arange(len(self._vertices_m))
+        first, second = np.concatenate((self._triangles[:, :2], self._triangles[:, 1:])).T
+        while len(first):
+            ends = body[first], body[second]
+            for each in ends:
+                np.minimum.at(body, each, np.minimum(*ends))
+            while not np.array_equal(body, further := body[body]):
+                body = further
+            apart = body[first] != body[second]
+            first, second = first[apart], second[apart]
         # A mesh of loose triangles has as many bodies: all are looked at together.
-        bodies, ordered = np.unique(body[self._triangles]), np.sort(body)
-        ends = np.searchsorted(ordered, bodies), np.searchsorted(ordered, bodies, "right") - 1
+        bodies, ordered = np.unique(body[self._triangles[:, 0]]), np.sort(body)
+        sides = np.searchsorted(ordered, bodies), np.searchsorted(ordered, bodies, "right") - 1
         along = [np.lexsort((coordinate, body)) for coordinate in self._vertices_m.T]
-        outermost: Vector = self._vertices_m[np.stack([each[end] for end in ends for each in along], axis=1)]
+        outermost: Vector = self._vertices_m[np.stack([each[side] for side in sides for each in along], axis=1)]
         return outermost
 
     @cached_property

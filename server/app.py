@@ -42,6 +42,7 @@ from server.features.monitoring import Logs, Monitoring, Recording
 from server.features.moveit import ArmGoals, MoveGroup, PlanningScene, Servo
 from server.features.parking import Parkings
 from server.features.physics import physics_of
+from server.features.suspension import Suspension
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.graph.topics import Graph
 from server.installation import PAGE_DIRECTORY
@@ -179,6 +180,7 @@ class App:
             *self._simulated_time,
             *self._physics,
             ArmControl(self._context),
+            Suspension(self._context),
             # The port before the processes: when the port is taken, no process and no arm is needed.
             self._clients,
             Part("planners", self._pool.start, self._pool.close, 0.4),

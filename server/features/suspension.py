@@ -1,0 +1,54 @@
+"""Suspension of the machine, as behind a closed lid: what moved the arm before it moves nothing afterwards."""
+
+import logging
+import time
+from collections.abc import Callable
+from typing import TypeAlias
+
+from server.features.context import ServerContext
+from server.lifecycle import Feature
+
+log = logging.getLogger("armbridge.arm")
+
+LOOK_S = 0.1
+
+# A shorter suspension is none: nobody has come near the arm meanwhile.
+LEAST_S = 1.0
+
+# Least and greatest value that a time may have [s].
+Bounds: TypeAlias = tuple[float, float]
+
+
+def suspended_s() -> Bounds:
+    """Return the time that the machine has been suspended since its start, as far as clocks read in a row tell."""
+    # The monotonic clock stands still meanwhile, and the clock of the time since the start does not (clock_gettime(2)).
+    before_s = time.monotonic()
+    since_start_s = time.clock_gettime(time.CLOCK_BOOTTIME)
+    return since_start_s - time.monotonic(), since_start_s - before_s
+
+
+class Suspension(Feature):
+    """Stops all arms when the machine was suspended: hours later nobody expects that they go on."""
+
+    name = "suspension"
+
+    def __init__(self, context: ServerContext, suspended: Callable[[], Bounds] = suspended_s) -> None:
+        self._context, self._suspended = context, suspended
+        self._before_s = suspended()[1]
+
+    async def start(self) -> None:
+        self._timer = self._context.graph.call_later(LOOK_S, self._look)
+
+    async def stop(self) -> None:
+        self._timer.cancel()
+
+    def _look(self) -> None:
+        # Bounds, as a starved process may stand still between two clocks.
+        least_s, greatest_s = self._suspended()
+        if (length_s := least_s - self._before_s) >= LEAST_S:
+            reason = f"the machine was suspended for {length_s:.0f} s"
+            log.warning("%s; all motions are stopped", reason)
+            self._context.whole.stop(reason)
+            self._before_s = greatest_s
+        self._before_s = min(self._before_s, greatest_s)
+        self._timer = self._context.graph.call_later(LOOK_S, self._look)

@@ -1,0 +1,74 @@
+"""A machine that was suspended, in stepped time."""
+
+import asyncio
+from collections.abc import AsyncIterator
+
+import numpy as np
+import pytest
+
+from robot.control.pacing import PERIOD_S
+from server.features.suspension import LEAST_S, LOOK_S, Bounds, Suspension, suspended_s
+from tests.helpers.stage import RecordedStage
+
+pytestmark = pytest.mark.stepped_time
+
+GOAL = "/moveit_goal_joints"
+
+
+class Laptop(RecordedStage):
+    """A server that moves its arm, on a machine with a lid.
+
+    Attributes:
+        suspended: bounds of the time for which the machine was suspended [s].
+        results: messages of the goals' results.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.suspended: Bounds = (0.0, 0.0)
+        self.results: list[str] = []
+        self.suspension = Suspension(self.stage.context, lambda: self.suspended)
+        listener = self.stage.graph.node("listener")
+        result = "/moveit_goal_result", "moveit_msgs/MoveItErrorCodes"
+        listener.subscribe(*result, lambda published: self.results.append(published.msg["message"]))
+
+    async def begin_to_move(self) -> None:
+        """Move to one place and then to another; returns on the way to the first."""
+        for pan_rad in (1.2, -1.2):
+            self.publish_now(GOAL, "sensor_msgs/JointState", {"name": ["shoulder_pan"], "position": [pan_rad]})
+        while not self.goals_rad or self.goals_rad[-1][0] < 0.2:
+            await asyncio.sleep(PERIOD_S)
+
+
+@pytest.fixture
+async def laptop() -> AsyncIterator[Laptop]:
+    laptop = Laptop()
+    await laptop.suspension.start()
+    async for each in laptop.run():
+        yield each
+        await each.suspension.stop()
+
+
+async def test_after_a_suspension_the_arm_brakes_and_goals_from_before_it_begin_no_more(laptop: Laptop) -> None:
+    await laptop.begin_to_move()
+    laptop.suspended = (3600.0, 3600.0)
+    await asyncio.sleep(2.0)
+    waiting, active = laptop.results
+    assert waiting == "the machine was suspended for 3600 s before this goal's turn came"
+    assert active.startswith("the machine was suspended for 3600 s; the arm stands at ")
+    assert np.ptp(laptop.arm_rad[-100:, 0]) == 0.0
+    assert 0.2 < laptop.goals_rad[-1][0] < 1.0
+    await laptop.begin_to_move()
+
+
+async def test_clocks_that_are_read_late_are_no_suspension(laptop: Laptop) -> None:
+    await laptop.begin_to_move()
+    for laptop.suspended in ((-10.0, 0.0), (0.0, 10.0), (0.9 * LEAST_S, 0.9 * LEAST_S)):
+        await asyncio.sleep(2.0 * LOOK_S)
+    assert laptop.results == []
+
+
+def test_the_bounds_are_about_clocks_that_are_read_in_a_row() -> None:
+    least_s, greatest_s = suspended_s()
+    assert least_s <= greatest_s
+    assert greatest_s >= 0.0

@@ -20,8 +20,8 @@ POLL_S = 0.05
 def verify(url: str, token: str | None, terminal: Terminal, arm: str) -> ExitCode:
     """Have a server verify its arm, by name of one of several; raises ServerLost."""
     try:
-        # The connection's own `with` closes it with 1011, an internal error, where Ctrl-C ends it.
-        with closing(connect(url, open_timeout=ANSWER_TIMEOUT_S, max_size=None)) as websocket:
+        # Where Ctrl-C ends it, the connection alone would close with 1011, an internal error.
+        with connect(url, open_timeout=ANSWER_TIMEOUT_S, max_size=None) as websocket, closing(websocket):
             return VerificationClient(websocket, terminal, arm).run(token)
     except (OSError, ValueError, WebSocketException) as error:
         raise ServerLost(f"{url}: {str(error) or type(error).__name__}; is armbridge serve running there?") from error

@@ -21,6 +21,8 @@ from server.execution.motions import Joints
 
 log = logging.getLogger("armbridge.goals")
 
+SHUTTING_DOWN = "the server is shutting down"
+
 
 @dataclass(frozen=True)
 class RunningGoal:
@@ -56,7 +58,7 @@ class GoalQueue:
         self._idle.set()
         self._ids = map(str, itertools.count(1))
         self._giving_way: list[tuple[Joints, Callable[[str], None]]] = []
-        self._started = False
+        self._started = self._closed = False
 
     def start(self) -> None:
         self._started = True
@@ -64,8 +66,8 @@ class GoalQueue:
 
     async def close(self, timeout_s: float) -> None:
         """End the active goals, answer every goal and end, at the latest after ``timeout_s``."""
-        self._started = False
-        self.cancel_all("the server is shutting down")
+        self._started, self._closed = False, True
+        self.cancel_all(SHUTTING_DOWN)
         # No stop: an arm that a client stops from now on is not parked any more.
         self._executors.brake()
         try:
@@ -76,7 +78,7 @@ class GoalQueue:
             abandoned, self._active = self._active, {}
             for goal, task in abandoned.items():
                 task.cancel()
-                reason = "the server is shutting down, and the arm did not come to rest in time"
+                reason = f"{SHUTTING_DOWN}, and the arm did not come to rest in time"
                 self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, reason))
 
     def busy(self, joints: Iterable[str] | None = None) -> str:
@@ -114,8 +116,9 @@ class GoalQueue:
         goal = self._goal(request)
         policy = request.policy or self._policy
         in_the_way = self._moving(request.joints)
-        if is_stopped(self._executors.last_stop(request.joints), request.epoch):
-            self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, STOPPED_SINCE))
+        if self._closed or is_stopped(self._executors.last_stop(request.joints), request.epoch):
+            reason = SHUTTING_DOWN if self._closed else STOPPED_SINCE
+            self._finish(goal, Answer(MoveItErrorCode.PREEMPTED, reason))
         elif policy is GoalPolicy.REJECT and in_the_way:
             text = f"goal {in_the_way[0].goal_id} is still being worked on"
             self._finish(goal, Answer(MoveItErrorCode.FAILURE, text))

@@ -15,6 +15,7 @@ from protocol.registry import Registry
 from protocol.type_descriptions import message_hash, service_hash
 from server.access.authorization import rule_of_action, rule_of_service, rule_of_topic
 from server.access.one_time_tokens import offer_one_time_tokens
+from server.execution.queue import SHUTTING_DOWN
 from server.features.context import ArmContext, ServerContext
 from server.gateway import http_goals
 from server.gateway.http import HttpHandler, HttpResponse, Route
@@ -32,6 +33,7 @@ class Clients(Feature):
     deadline_s = 0.6
 
     def __init__(self, context: ServerContext) -> None:
+        self._requests = context.graph.actions, context.graph.services
         self.routes: dict[str, Route] = {PATH: functools.partial(interface_document, context)}
         access, stops = context.access, context.settings.goals.on_disconnect == "stop"
         names = [each.name for each in context.arms if each.name]
@@ -59,6 +61,9 @@ class Clients(Feature):
         await self.listener.bind()
 
     async def stop(self) -> None:
+        """Close all connections; what has no answer by now, when the goals have ended, gets one."""
+        for each in self._requests:
+            each.fail_all(SHUTTING_DOWN)
         await self.listener.close()
 
 

@@ -125,6 +125,11 @@ class Providers(Generic[AnyRequest]):
         if offer is not None and offer.node is node:
             self._remove(offer)
 
+    def fail_all(self, reason: str) -> None:
+        """Fail every request on its way: where the server ends, nothing else would answer it."""
+        for request in [each for node in self._made for each in self._made.of(node)]:
+            request.fail(reason)
+
     def _end_requests(self, offer: Provider[AnyRequest]) -> None:
         """End the requests on their way to an offer that has just been withdrawn or replaced."""
         for request in list(offer.requests.values()):

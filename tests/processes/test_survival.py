@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 from websockets.asyncio.client import connect
 
-from harness.clients import frame_client, goal_is
+from harness.clients import arm_client, frame_client, goal_is
 from harness.server import ROOT, RunningServer, free_port, run_command
 from harness.waiting import TIMEOUT_S, running, until
 from tests.helpers.resources import is_open
@@ -52,6 +52,24 @@ import pathlib, sys, time
 while "robot.control.loop" in sys.orig_argv and not pathlib.Path(__file__).with_name("begin").exists():
     time.sleep(0.01)
 """
+
+
+async def test_a_goal_of_the_gripper_and_a_call_that_waits_for_a_client_are_answered_by_a_server_that_ends() -> None:
+    with RunningServer() as server:
+        async with arm_client(server.url) as client, arm_client(server.url) as provider:
+            await provider.say("advertise_service", service="/never", type="std_srvs/Trigger")
+            await provider.call("/rosapi/get_time")
+            call = asyncio.create_task(client.call("/never"))
+            goal = await client.send_goal(
+                "/gripper_controller/gripper_cmd",
+                "control_msgs/action/GripperCommand",
+                {"command": {"position": 1.2}},
+            )
+            await client.call("/rosapi/get_time")
+            code, _ = await asyncio.to_thread(server.end, signal.SIGTERM)
+            assert (await client.result(goal))["values"] == "the server is shutting down"
+            assert str(await call) == "the server is shutting down"
+    assert code == 0
 
 
 async def test_a_server_answers_before_its_arm_is_ready_and_a_goal_waits_for_it(tmp_path: Path) -> None:

@@ -239,7 +239,7 @@ COURSES: list[tuple[GoalPolicy, list[Act], dict[str, MoveItErrorCode], list[str]
     (
         QUEUE,
         [submit(LEFT, LEFT), Desk.close, submit(RIGHT)],
-        {"1": ENDED, "2": ENDED},
+        {"1": ENDED, "2": ENDED, "3": ENDED},
         [LEFT],
         "the server is shutting down",
     ),

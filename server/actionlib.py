@@ -186,7 +186,10 @@ class BridgedAction:
         sent.when_ended(lambda result: self._on_result(goal, result))
 
     def _take_cancel(self, published: PublishedMessage) -> None:
-        """Cancel all goals for a message without id and stamp; else the goal of its id, and those up to its stamp."""
+        """Cancel all goals for a message without id and stamp; else the goal of its id, and those up to its stamp.
+
+        All goals are also goals that no client of ROS 1 has sent: its server would know no others.
+        """
         stamp, name = _stamp(published.msg), published.msg["id"]
         everything = not name and stamp == ZERO
         for key, goal in list(self._goals.items()):
@@ -194,6 +197,8 @@ class BridgedAction:
             if selected and goal.sent is not None:
                 goal.status = ActionlibStatus.PREEMPTING
                 goal.sent.cancel()
+        if everything:
+            self._graph.actions.cancel_all(self._name)
         self.publish_status()
 
     def _on_result(self, goal: Tracked, result: Result) -> None:

@@ -232,6 +232,11 @@ class Actions(Providers[ActionGoal]):
             goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
         return goal
 
+    def cancel_all(self, name: str) -> None:
+        """Cancel all goals of an action; nothing happens when nobody offers it."""
+        for goal in list(offer.requests.values()) if (offer := self._offers.get(name)) is not None else ():
+            goal.cancel()
+
     def cancel_left_behind(self, name: str, sender_id: Mark) -> None:
         """Cancel the goals of an action with this mark whose senders have left."""
         offer = self._offers.get(name)

@@ -138,6 +138,14 @@ def test_a_cancel_names_goals_by_id_and_stamp(stage: Stage, cancel: dict[str, An
     assert [goal.cancel_requested for goal in stage.goals] == canceled
 
 
+def test_a_cancel_of_all_goals_ends_those_of_other_clients_that_ros_1_does_not_know(stage: Stage) -> None:
+    stage.graph.actions.send_goal(Node("other", remote=True), MOVE, MOVE_TYPE, {}, lambda _result: None)
+    stage.cancel(id="one")
+    assert not stage.goals[0].cancel_requested
+    stage.cancel()
+    assert stage.goals[0].cancel_requested
+
+
 def test_goals_without_an_id_get_one_each(stage: Stage) -> None:
     for _ in range(2):
         stage.send("")

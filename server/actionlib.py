@@ -186,7 +186,7 @@ class BridgedAction:
         sent.when_ended(lambda result: self._on_result(goal, result))
 
     def _take_cancel(self, published: PublishedMessage) -> None:
-        """Cancel all goals, by whichever way they came, without id and stamp; else that of the id, and up to the stamp."""
+        """Cancel all goals, however they came, without id and stamp; else the goal of the id, and up to the stamp."""
         stamp, name = _stamp(published.msg), published.msg["id"]
         everything = not name and stamp == ZERO
         for key, goal in list(self._goals.items()):

@@ -195,7 +195,7 @@ class BridgedAction:
                 goal.status = ActionlibStatus.PREEMPTING
                 goal.sent.cancel()
         if everything:
-            self._graph.actions.cancel_all(self._name)
+            self._graph.actions.cancel(self._name)
         self.publish_status()
 
     def _on_result(self, goal: Tracked, result: Result) -> None:

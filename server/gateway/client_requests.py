@@ -297,4 +297,4 @@ class ClientActions(_Offers):
         for goal in own:
             goal.cancel()
         if not own and id_ is not None:
-            self._actions.cancel_left_behind(name, id_)
+            self._actions.cancel(name, lambda goal: goal.sender_left and goal.sender_id == id_)

@@ -232,16 +232,11 @@ class Actions(Providers[ActionGoal]):
             goal.fail(f"Action {goal.action} failed inside the server: {type(error).__name__}: {error}")
         return goal
 
-    def cancel_all(self, name: str) -> None:
-        """Cancel all goals of an action; nothing happens when nobody offers it."""
-        for goal in list(offer.requests.values()) if (offer := self._offers.get(name)) is not None else ():
-            goal.cancel()
-
-    def cancel_left_behind(self, name: str, sender_id: Mark) -> None:
-        """Cancel the goals of an action with this mark whose senders have left."""
+    def cancel(self, name: str, selected: Callable[[ActionGoal], bool] = lambda _goal: True) -> None:
+        """Cancel the selected goals of an action, or all; nothing happens when nobody offers it."""
         offer = self._offers.get(name)
         for goal in list(offer.requests.values()) if offer is not None else ():
-            if goal.sender_left and goal.sender_id == sender_id:
+            if selected(goal):
                 goal.cancel()
 
     def _offer(self, name: str, type_name: str, goal_id: bytes | None) -> Provider[ActionGoal]:

@@ -9,7 +9,7 @@ from server.errors import refused
 # A stream that was stopped has ended when the topic is silent for this time: clients publish at 10 Hz and more.
 STREAM_PAUSE_S = 0.5
 
-# Parts of a silence, of which one counts after a standstill: at least four fifths of it are real.
+# A silence has these parts. A standstill counts as one, so that at least four fifths of a silence are real.
 SILENCE_PARTS = 5
 
 

@@ -142,7 +142,7 @@ class ArmLink:
 
     @property
     def stops(self) -> int:
-        """Number of the server's last stop, as far as it is known."""
+        """Number of the last stop that the server has published."""
         return stops_of(self._arm_state.latched())
 
     def state(self) -> tuple[float, dict[str, float]]:

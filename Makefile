@@ -167,7 +167,7 @@ build/lerobot/.installed: clients/lerobot/pyproject.toml
 	build/lerobot/bin/python -m pip --disable-pip-version-check install --quiet --no-deps --editable clients/python --editable clients/lerobot
 	touch $@
 
-# How many changes of the source no test notices; ten minutes a room.
+# How many changes of the source no test notices; ten minutes a package.
 mutation: install-dev build/cosmic_ray/.installed
 	build/cosmic_ray/bin/python -m tests.mutation $(ARGS)
 

@@ -82,7 +82,7 @@ Truth: TypeAlias = Annotated[bool, BeforeValidator(is_true), Field(description="
 JsonObject: TypeAlias = Annotated[dict[str, Any], Field(description="an object")]
 # Providers that fail give a sentence, an object or nothing; whether it fits is for the one who knows the type.
 Anything: TypeAlias = Annotated[Any, Field(description="any value")]
-# Number of the last stop of the arm that a sender knew of; the one who knows the numbers looks at it.
+# Number of the last stop that a sender knew of; the server checks it, which makes the numbers.
 StopNumber: TypeAlias = Anything
 Qos: TypeAlias = Annotated[dict[str, Any] | None, Field(description="an object or null")]
 Compression: TypeAlias = Literal["none", "png", "cbor", "cbor-raw"]

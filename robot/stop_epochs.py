@@ -1,8 +1,8 @@
 """Stop epochs: numbers of all stops, by which a stop ends every motion that was requested before it.
 
 Every stop of an arm begins a new epoch. A request that may move an arm keeps the epoch in which it arrived, however
-long it then waits; an arm refuses a request from an epoch before its own last stop. The count is shared by all arms of
-a process, so that one number orders a request and the stops of each arm.
+long it then waits; an arm refuses a request from an epoch before its own last stop. All arms of a process share the
+numbers, so that one orders a request and the stops of each arm.
 
 A client may name the last epoch that it knew of: its request then counts as one of that epoch. So each number is the
 time of its stop, and an arm begins with one: a number that a client kept from an earlier run of the server is older.

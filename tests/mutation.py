@@ -23,7 +23,7 @@ COPIES = ROOT / "build" / "mutation"
 PYTHON = ROOT / ".venv" / "bin" / "python"
 
 # What is changed, and the tests that are to notice it.
-ROOMS = {
+PACKAGES = {
     "protocol/session.py": "tests/protocol/test_session.py",
     "server/access": "tests/server/access",
     "server/execution": "tests/server/execution",
@@ -63,7 +63,7 @@ def run(room: str, number: int, seed: int) -> Counter[str]:
     configuration, session = folder / "mutation.toml", folder / "mutation.sqlite"
     # Servers that the tests start are changed too: the environment's own source comes after this path.
     environment = {**os.environ, "PYTHONPATH": str(folder)}
-    tests = f"{PYTHON} -m pytest -x -q -n 0 -p no:cacheprovider {ROOMS[room]}"
+    tests = f"{PYTHON} -m pytest -x -q -n 0 -p no:cacheprovider {PACKAGES[room]}"
     configuration.write_text(
         f'[cosmic-ray]\nmodule-path = "{room}"\ntimeout = {TIMEOUT_S}\nexcluded-modules = []\n'
         f'test-command = "{tests}"\n[cosmic-ray.distributor]\nname = "local"\n'
@@ -91,11 +91,11 @@ def run(room: str, number: int, seed: int) -> Counter[str]:
 def main() -> int:
     """Try changes of every room that is named, or of all."""
     parser = argparse.ArgumentParser(prog="make mutation", description=__doc__)
-    parser.add_argument("rooms", nargs="*", metavar="ROOM", choices=[*ROOMS, []], help=", ".join(ROOMS))
+    parser.add_argument("rooms", nargs="*", metavar="ROOM", choices=[*PACKAGES, []], help=", ".join(PACKAGES))
     parser.add_argument("--changes", type=int, default=40, metavar="N", help="changes of each room (40)")
     parser.add_argument("--seed", type=int, default=1, help="which changes (1)")
     options = parser.parse_args()
-    for room in options.rooms or ROOMS:
+    for room in options.rooms or PACKAGES:
         found = run(room, options.changes, options.seed)
         share = found["noticed"] / found.total()
         error = math.sqrt(share * (1.0 - share) / found.total())

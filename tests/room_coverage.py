@@ -9,7 +9,7 @@ from collections import Counter
 
 from harness.figures import print_table
 from harness.server import ROOT
-from tests.helpers.source import ROOMS
+from tests.helpers.source import PACKAGES
 
 REPORT = ROOT / "build" / "coverage.json"
 LEAST_PERCENT = 90.0
@@ -18,7 +18,7 @@ LEAST_PERCENT = 90.0
 def main() -> int:
     """Print a table; return 1 where lines and branches together are reached too seldom."""
     files = json.loads(REPORT.read_text())["files"]
-    counts = {room: Counter[str]() for room in ROOMS}
+    counts = {room: Counter[str]() for room in PACKAGES}
     for name, file in files.items():
         counts[name.split("/")[0]].update({key: n for key, n in file["summary"].items() if isinstance(n, int)})
     counts["all"] = sum(counts.values(), Counter())

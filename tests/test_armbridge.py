@@ -13,7 +13,7 @@ import armbridge
 from harness.server import ROOT
 from server import cli
 from tests.helpers.programs import run
-from tests.helpers.source import ROOMS
+from tests.helpers.source import PACKAGES
 
 
 def distribution(folder: Path, package: str) -> None:
@@ -34,7 +34,7 @@ def start(home: Path, *before: Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_package_in_the_way_is_named_with_its_distribution_or_else_by_its_path(tmp_path: Path) -> None:
-    assert set(armbridge.PACKAGES) == set(ROOMS)
+    assert set(armbridge.PACKAGES) == set(PACKAGES)
     package = armbridge.PACKAGES[-1]
     distribution(tmp_path, package)
     done = start(ROOT, tmp_path)
@@ -49,7 +49,7 @@ def test_a_package_in_the_way_is_named_with_its_distribution_or_else_by_its_path
 
 def test_a_distribution_that_has_overwritten_our_files_is_named(tmp_path: Path) -> None:
     shutil.copy(ROOT / "armbridge.py", tmp_path)
-    for package in ROOMS:
+    for package in PACKAGES:
         ignored = shutil.ignore_patterns("page", "__pycache__")
         shutil.copytree(ROOT / package, tmp_path / package, ignore=ignored)
     distribution(tmp_path, "robot")

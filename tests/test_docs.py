@@ -22,7 +22,7 @@ from robot.faults import ADVICE, REMEDIES, FaultCode
 from server import cli
 from server.config_loader import load
 from tests.helpers.programs import run
-from tests.helpers.source import ROOMS, paths, sentences
+from tests.helpers.source import PACKAGES, paths, sentences
 from tests.test_readme import blocks
 
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -203,7 +203,7 @@ def test_every_test_that_the_tables_of_attacks_and_of_traps_name_exists(table: s
 
 
 def test_the_sentences_of_the_pages_about_troubles_are_printed_by_the_code() -> None:
-    printed = "\n".join(text for room in ROOMS for path in paths(room) for text in sentences(path))
+    printed = "\n".join(text for package in PACKAGES for path in paths(package) for text in sentences(path))
     pages = "".join((ROOT / "docs" / page).read_text() for page in ("troubleshooting.md", "hardware.md"))
     text = re.sub(r"```.*?```", "", pages, flags=re.DOTALL)
     others = ("armbridge ", "make ", "curl ", "echo ", "journalctl ", "sudo ", "@dialout ", "{", "access.allowed_")
@@ -298,7 +298,7 @@ def defaults_of(name: str) -> list[set[float]]:
     return found
 
 
-SOURCES = "\n".join(path.read_text() for room in ROOMS for path in paths(room))
+SOURCES = "\n".join(path.read_text() for package in PACKAGES for path in paths(package))
 
 
 @pytest.mark.parametrize("page", ["protocol.md", "security.md"])
@@ -329,11 +329,11 @@ def test_no_sentence_uses_a_construction_that_readers_stumble_over_and_docstring
     named = (*TOP, "CHANGELOG.md", "server/page/src/texts/en.json")
     written = [ROOT / name for name in named] + PAGES + sorted((ROOT / "clients").rglob("README.md"))
     found, questions = [], []
-    for path in (*written, *(path for folder in (*ROOMS, "clients", "examples") for path in paths(folder))):
+    for path in (*written, *(path for folder in (*PACKAGES, "clients", "examples") for path in paths(folder))):
         name, whole = path.relative_to(ROOT), path.read_text()
         text = re.sub(r"\s*\n\s*(#\s+)?", " ", whole)
         found += [f"{name}: {text[hit.start() - 40 : hit.end()]}" for hit in STUMBLES.finditer(text)]
-        questions += [f"{name}: {hit[0].strip()}" for hit in QUESTIONS.finditer(whole) if name.parts[0] in ROOMS]
+        questions += [f"{name}: {hit[0].strip()}" for hit in QUESTIONS.finditer(whole) if name.parts[0] in PACKAGES]
         assert "<<<<<<< " not in text, f"{name}: a merge was not resolved"
     assert found == [], "say the noun again, the verb, or the number itself"
     assert questions == []

@@ -1,4 +1,4 @@
-"""The arrows between the rooms: server -> planners -> robot, server -> protocol, and no other; tests follow folders."""
+"""The imports between packages: server -> planners -> robot, server -> protocol, and no other; tests follow folders."""
 
 import ast
 import re
@@ -11,9 +11,9 @@ import pytest
 
 from harness.server import ROOT
 from tests.helpers.programs import run_python
-from tests.helpers.source import ROOMS, imports, name_of, paths
+from tests.helpers.source import PACKAGES, imports, name_of, paths
 
-# What each room may import of ours; a name with a dot is one module of a room. ARCHITECTURE.md shows it.
+# What each package may import of ours; a name with a dot is one module of a package. ARCHITECTURE.md shows it.
 ALLOWED = {
     "server": (
         "server",
@@ -65,49 +65,49 @@ ASYNCIO_OUTSIDE_SERVER = {
 PLANNING_LIBRARIES = {"placo", "pinocchio", "coal", "ompl", "toppra"}
 
 
-def importing(rooms: Iterable[str], is_wrong: Callable[[str, str], bool]) -> list[str]:
-    """Which modules of some rooms import a name that is wrong in that room."""
+def importing(packages: Iterable[str], is_wrong: Callable[[str, str], bool]) -> list[str]:
+    """Which modules of some packages import a name that is wrong in that package."""
     return [
         f"{path.relative_to(ROOT)} imports {name}"
-        for room in rooms
-        for path in paths(room)
+        for package in packages
+        for path in paths(package)
         for name in sorted(imports(path).names)
-        if is_wrong(name, room)
+        if is_wrong(name, package)
     ]
 
 
 def test_a_room_imports_only_the_rooms_below_it() -> None:
-    def is_wrong(name: str, room: str) -> bool:
-        allowed = any(name == prefix or name.startswith(f"{prefix}.") for prefix in ALLOWED[room])
-        return name.split(".")[0] in ROOMS and not allowed
+    def is_wrong(name: str, package: str) -> bool:
+        allowed = any(name == prefix or name.startswith(f"{prefix}.") for prefix in ALLOWED[package])
+        return name.split(".")[0] in PACKAGES and not allowed
 
-    found = importing(ROOMS, is_wrong)
+    found = importing(PACKAGES, is_wrong)
     assert found == [], "move the code to a folder that may import this; the folders are in ALLOWED of this file"
 
 
 def test_a_client_and_the_program_import_nothing_of_each_other() -> None:
     packages = {path.parent.name for path in (ROOT / "clients").glob("*/*/__init__.py")}
     assert "armbridge_client" in packages
-    found = importing(ROOMS, lambda name, _room: name.split(".")[0] in packages)
+    found = importing(PACKAGES, lambda name, _package: name.split(".")[0] in packages)
     found += [
         f"{path.relative_to(ROOT)} imports {name}"
         for path in paths("clients", "*.py")
         for name in sorted(imports(path).names)
-        if path.parent.name in packages and name.split(".")[0] in ROOMS
+        if path.parent.name in packages and name.split(".")[0] in PACKAGES
     ]
     assert found == [], "a client speaks to the server over its port alone"
 
 
 def test_asyncio_and_websockets_stay_in_the_server() -> None:
     ours = {"asyncio", "websockets", "uvloop", "pydantic_settings"}
-    found = importing(("planners", "robot", "protocol"), lambda name, _room: name.split(".")[0] in ours)
+    found = importing(("planners", "robot", "protocol"), lambda name, _package: name.split(".")[0] in ours)
     wrong = [each for each in found if each.split()[0] not in ASYNCIO_OUTSIDE_SERVER]
     assert wrong == [], "move this code to server/"
 
 
 def test_the_protocol_does_no_io_and_reads_no_clock() -> None:
     foreign = {"socket", "time", "select", "threading", "logging", "subprocess"}
-    found = importing(("protocol",), lambda name, _room: name.split(".")[0] in foreign)
+    found = importing(("protocol",), lambda name, _package: name.split(".")[0] in foreign)
     # It begins no thread; a budget is one for each.
     assert found == ["protocol/messages.py imports threading"], "take sockets and the time as arguments, from server/"
 
@@ -139,16 +139,16 @@ def test_the_command_line_loads_nothing_of_the_server_before_a_command_needs_it(
 
 def test_the_architecture_page_shows_these_imports() -> None:
     lines = ["| package | imports of ours | purpose |", "|---|---|---|"]
-    for room, names in ALLOWED.items():
-        others = [f"`{name}`" for name in names if name != room]
-        lines.append(f"| `{room}/` | {', '.join(others) or 'nothing'} | {PURPOSES[room]} |")
+    for package, names in ALLOWED.items():
+        others = [f"`{name}`" for name in names if name != package]
+        lines.append(f"| `{package}/` | {', '.join(others) or 'nothing'} | {PURPOSES[package]} |")
     table, page = "\n".join(lines), (ROOT / "ARCHITECTURE.md").read_text()
     shown = page.split("<!-- imports -->")[1].split("<!-- /imports -->")[0].strip()
     assert shown == table, f"put this table between the marks of ARCHITECTURE.md:\n{table}"
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    found = {name_of(path): imports(path).when_loaded for room in ROOMS for path in paths(room)}
+    found = {name_of(path): imports(path).when_loaded for package in PACKAGES for path in paths(package)}
     order = TopologicalSorter({name: names & found.keys() for name, names in found.items()})
     order.prepare()
 
@@ -181,7 +181,7 @@ def folder_of(name: str, package: str) -> str:
 
 
 def test_the_gateway_knows_nothing_of_moveit() -> None:
-    found = importing(["server"], lambda name, _room: name.startswith("server.moveit"))
+    found = importing(["server"], lambda name, _package: name.startswith("server.moveit"))
     assert [each for each in found if each.startswith("server/gateway/")] == []
 
 
@@ -206,10 +206,12 @@ def imported_by(path: Path) -> frozenset[str]:
 
 def test_every_module_is_reached_by_the_tests_of_its_folder() -> None:
     imported = {
-        name_of(path): imported_by(path) for room in (*ROOMS, "tests", "harness") for path in paths(room, "[!_]*.py")
+        name_of(path): imported_by(path)
+        for package in (*PACKAGES, "tests", "harness")
+        for path in paths(package, "[!_]*.py")
     }
     missed: set[str] = set()
-    for folder in sorted({path.parent.relative_to(ROOT) for room in ROOMS for path in paths(room)}):
+    for folder in sorted({path.parent.relative_to(ROOT) for package in PACKAGES for path in paths(package)}):
         tests = [path for ring in RINGS for path in (ROOT / ring / folder).glob("*.py")]
         reached: set[str] = set()
         found = set[str]().union(*map(imported_by, tests)) & imported.keys()
@@ -226,13 +228,13 @@ def test_every_module_is_reached_by_the_tests_of_its_folder() -> None:
 
 
 def test_tests_and_benchmarks_import_nothing_of_each_other() -> None:
-    known = {name_of(path) for room in HELPED for path in paths(room)}
+    known = {name_of(path) for package in HELPED for path in paths(package)}
     foreign, missing = [], []
-    for room in HELPED:
-        for path in paths(room):
+    for package in HELPED:
+        for path in paths(package):
             for name in imports(path).sources:
                 place = f"{path.relative_to(ROOT)} imports {name}"
-                foreign += [place] if name.split(".")[0] in {"tests", "benchmarks"} - {room} else []
+                foreign += [place] if name.split(".")[0] in {"tests", "benchmarks"} - {package} else []
                 missing += [place] if name.startswith(("harness.", "tests.helpers.")) and name not in known else []
     assert foreign == [], "move the helpers of both to harness/"
     assert missing == [], "servers, clients, waiting and the page are in harness/, other helpers in tests/helpers/"

@@ -29,6 +29,7 @@ FINEST_STEP_M = 0.0001
 # After the first contact, earlier ones are searched for this finely only: enough for the time of the contact.
 EARLIEST_STEP_M = 0.01
 
+LOOKS_AT_ONCE = 64  # numbers about these take 20 MB among 1000 objects
 WIDEST_MARGIN_M = 0.1  # most that a point of the robot travels to either side of where all pairs are looked at
 
 CHECK_STEP_M = 0.001  # a search need not check more finely: its motions are certified afterwards
@@ -65,19 +66,21 @@ def first_contact(space: JointSpace, curve: Cubics, step_m: float) -> float | No
     if travel_m[-1] <= step_m:
         return None
     looks = math.ceil(0.5 * travel_m[-1] / WIDEST_MARGIN_M)
-    places = np.interp(np.linspace(0.0, travel_m[-1], 2 * looks + 1), travel_m, np.arange(len(travel_m)))
-    pieces = np.minimum(places.astype(np.int64), len(curve.coefficients) - 1)
-    before, after = curve.travelled_rad[pieces], curve.travelled_rad[pieces + 1]
-    # How much of its clearance each pair may have lost from the start to each place, shape (places, pairs + 1).
-    way_m = (before + (places - pieces)[:, np.newaxis] * (after - before)) @ space.approach_m_per_rad.T
-    margins_m = np.diff(way_m, axis=0).reshape(looks, 2, -1).max(axis=1)
-    for i in range(1, len(places), 2):
-        near = space.near(curve.point(int(pieces[i]), float(places[i] - pieces[i])), margins_m[i // 2])
-        around, ways_m = places[i - 1 : i + 2], way_m[i - 1 : i + 2].T
-        contacts = (_first_of_pair(space, curve, pair, around, ways_m[pair], clear_m, step_m) for pair, clear_m in near)
-        found = min((place for place in contacts if place is not None), default=None)
-        if found is not None:
-            return found
+    all_places = np.interp(np.linspace(0.0, travel_m[-1], 2 * looks + 1), travel_m, np.arange(len(travel_m)))
+    for first in range(0, 2 * looks, 2 * LOOKS_AT_ONCE):
+        places = all_places[first : first + 2 * LOOKS_AT_ONCE + 1]
+        pieces = np.minimum(places.astype(np.int64), len(curve.coefficients) - 1)
+        before, after = curve.travelled_rad[pieces], curve.travelled_rad[pieces + 1]
+        # How much of its clearance each pair may have lost from the start to each place, shape (places, pairs + 1).
+        way_m = (before + (places - pieces)[:, np.newaxis] * (after - before)) @ space.approach_m_per_rad.T
+        margins_m = np.diff(way_m, axis=0).reshape(-1, 2, way_m.shape[1]).max(axis=1)
+        for i in range(1, len(places), 2):
+            near = space.near(curve.point(int(pieces[i]), float(places[i] - pieces[i])), margins_m[i // 2])
+            at, ways_m = places[i - 1 : i + 2], way_m[i - 1 : i + 2].T
+            contacts = (_first_of_pair(space, curve, pair, at, ways_m[pair], clear_m, step_m) for pair, clear_m in near)
+            found = min((place for place in contacts if place is not None), default=None)
+            if found is not None:
+                return found
     return None
 
 

@@ -27,8 +27,9 @@ from server.arrival import arrival_epoch, arrived_in
 from server.chunks.targets import SAMPLE_S, Blend, Targets, blended, deviation_rad, follow
 from server.diagnostic_values import LEVEL_OK, diagnostic_status
 from server.errors import GraphError, RefusedError, invalid_plan, refused
-from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
+from server.execution.streams import MessageStream
 from server.graph.actions import ActionGoal
 from server.graph.permissions import GOAL, STOPPING, WORKING, Node
 from server.graph.services import Call

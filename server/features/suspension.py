@@ -43,12 +43,12 @@ class Suspension(Feature):
         self._timer.cancel()
 
     def _look(self) -> None:
+        self._timer = self._context.graph.call_later(LOOK_S, self._look)
         # Bounds, as a starved process may stand still between two clocks.
         least_s, greatest_s = self._suspended()
         if (length_s := least_s - self._before_s) >= LEAST_S:
             reason = f"the machine was suspended for {length_s:.0f} s"
             log.warning("%s; all motions are stopped", reason)
-            self._context.whole.stop(reason)
             self._before_s = greatest_s
+            self._context.whole.stop(reason)
         self._before_s = min(self._before_s, greatest_s)
-        self._timer = self._context.graph.call_later(LOOK_S, self._look)

@@ -124,8 +124,8 @@ class Connection:
         try:
             self._transport.start_delivery(self._client)
             await self._read()
-            # Carry out what a client that leaves has sent before, unless it would have to read its replies first, and
-            # send it the replies if it has closed its own direction alone.
+            # Carry out what a client that leaves has sent before, unless it would have to read its replies first. A
+            # client that has closed its own direction alone reads them.
             ends_s = time.monotonic() + LEAVE_TIMEOUT_S
             # Polled: nearly every client has nothing waiting when it leaves.
             while self._is_unfinished and time.monotonic() < ends_s:  # noqa: ASYNC110
@@ -142,9 +142,10 @@ class Connection:
 
     @property
     def _is_unfinished(self) -> bool:
-        session = self._client.session
-        unsent = self._transport.is_open and session.send_queue.reply_bytes > 0
-        return not session.congested and (unsent or not self._client.inbox.empty)
+        session, waits = self._client.session, not self._client.inbox.empty
+        if self._transport.is_open:
+            return waits or session.send_queue.reply_bytes > 0
+        return waits and not session.congested
 
     async def _read(self) -> None:
         try:

@@ -90,10 +90,10 @@ class HttpGoals:
             timeout_s, operation = _timeout_s(posted), self._read(posted.body)
             with arrived_in(epoch_after(operation.after_stop, posted.epoch)):
                 self._send(operation, node, authorizer, answer)
+            # Of the stops since it asked, the sender knows its own alone.
+            stops = STOP_EPOCHS.present if operation.args is None else posted.epoch
             async with asyncio.timeout(timeout_s):
                 status, values = await answered
-            # A sender that sees its plan has not seen the stops since it asked for it.
-            stops = STOP_EPOCHS.present if operation.args is None else posted.epoch
             return HttpResponse.of_json(status, {**values, "stops": stops})
         except _RefusedError as error:
             log.debug("%s: refused: %s", node, error)

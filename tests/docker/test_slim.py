@@ -6,7 +6,7 @@ import pytest
 
 from docker import slim
 from tests.helpers.programs import run_python
-from tests.helpers.source import ROOMS, imports, paths
+from tests.helpers.source import PACKAGES, imports, paths
 
 
 def fill(path: Path, content: str = "x") -> Path:
@@ -81,6 +81,6 @@ def test_of_scipy_nothing_goes_that_the_planners_load_or_ours_import() -> None:
     loaded = {name.split(".")[1] for name in done.stdout.split() if name.startswith("scipy.")}
     assert {"spatial", "sparse"} <= loaded
     assert loaded & set(slim.SCIPY) == set()
-    of_ours = [imports(path) for room in ROOMS for path in paths(room)]
+    of_ours = [imports(path) for package in PACKAGES for path in paths(package)]
     names = {name for each in of_ours for name in each.names | each.sources if name.startswith("scipy.")}
     assert {name.split(".")[1] for name in names} == {"spatial", "sparse"}

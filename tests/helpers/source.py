@@ -9,7 +9,7 @@ from pathlib import Path
 
 from harness.server import ROOT
 
-ROOMS = ("server", "planners", "robot", "protocol")
+PACKAGES = ("server", "planners", "robot", "protocol")
 
 
 @dataclass(frozen=True)

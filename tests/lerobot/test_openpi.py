@@ -140,6 +140,23 @@ def test_a_stop_while_a_chunk_is_computed_or_on_its_way_ends_the_policy_though_n
     assert arm.state().position_rad == pytest.approx(position_rad, abs=0.02)
 
 
+def test_a_stop_while_another_client_has_the_control_ends_the_policy(
+    server: RunningServer, arm: Arm, tmp_path: Path
+) -> None:
+    arm.move_joints(UPRIGHT)
+    position_rad, log = arm.state().position_rad, tmp_path / "policy.log"
+    with (
+        policy_server(tmp_path, "ramp") as stub,
+        log.open("w") as out,
+        running(options(stub, server, "--fps=30"), env=OFFLINE, cwd=tmp_path, stderr=out),
+    ):
+        wait_until(lambda: "the policy waits: " in log.read_text())
+        arm.stop()
+        arm.release_control()
+        wait_until(lambda: "the policy ends: the arm was stopped" in log.read_text())
+    assert arm.state().position_rad == pytest.approx(position_rad, abs=0.02)
+
+
 def test_a_person_pauses_the_policy_steers_and_gives_back(server: RunningServer, arm: Arm, tmp_path: Path) -> None:
     arm.move_joints(UPRIGHT)
     arm.release_control()

@@ -4,6 +4,7 @@ import asyncio
 import functools
 from collections.abc import AsyncIterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +43,11 @@ async def rig(running: ArmOnServos) -> ArmOnServos:
     assert (await running.arm.execute(home)).outcome is Outcome.REACHED
     running.states.clear()
     return running
+
+
+async def test_an_arm_begins_with_a_stop_so_that_numbers_of_an_earlier_run_are_older(tmp_path: Path) -> None:
+    before = STOP_EPOCHS.present
+    assert ArmOnServos(tmp_path).arm.last_stop > before
 
 
 async def test_a_stop_right_behind_a_trajectory_is_not_lost(rig: ArmOnServos) -> None:

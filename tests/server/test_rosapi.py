@@ -132,6 +132,8 @@ def test_what_belongs_to_an_action_is_not_listed_but_found_by_name(world: AskedW
     assert world.ask("topics_for_type", type="std_msgs/Empty")["topics"] == []
     assert world.ask("service_type", service=HIDDEN)["type"] == "action_msgs/srv/CancelGoal"
     assert world.ask("topic_type", topic="/grip/_hidden")["type"] == "std_msgs/msg/Empty"
+    world.graph.remove(ARM)
+    assert world.ask("topics")["topics"] == world.ask("topics", "ros1")["topics"]
 
 
 DETAILS = ["message", "service_request", "service_response", "action_goal", "action_result", "action_feedback"]

@@ -61,6 +61,7 @@ class Armbridge(Robot):
         self.cameras = make_cameras_from_configs(config.cameras)
         self._link: ArmLink | None = None
         self._following: Following | None = None
+        self._stops = 0  # number of the server's last stop before the latest observation
 
     @property
     def _joint_features(self) -> dict[str, type]:
@@ -155,7 +156,7 @@ class Following:
 
     Args:
         target_rad: first target, by the server's joints; the arm goes there by a planned motion.
-        stops: number of the server's stops before the target was decided on.
+        stops: number of the server's last stop before the target was decided on.
 
     Raises:
         RequestRefused: the arm cannot follow, with the server's sentence.

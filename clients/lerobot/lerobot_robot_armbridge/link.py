@@ -142,7 +142,7 @@ class ArmLink:
 
     @property
     def stops(self) -> int:
-        """Latest known number of the server's stops."""
+        """Number of the last stop that the server has published."""
         return stops_of(self._arm_state.latched())
 
     def state(self) -> tuple[float, dict[str, float]]:

@@ -120,7 +120,7 @@ class PolicyRunner:
         self._robot, self._link = robot, robot.link
         self._state = Watch(robot.link.arm, f"{robot.link.prefix}/arm/chunks/state", DiagnosticStatus)
         self._near = False
-        # Stops before the policy began, or went on after another hand: a later one ends it, however long it computes.
+        # Last stop before the policy began, or was resumed: a later one ends it, however long it computes or waits.
         self._stops = self._link.stops
 
     def run(self) -> None:
@@ -133,7 +133,7 @@ class PolicyRunner:
             except ControlledByOther as error:
                 log.info("the policy waits: %s", error)
                 time.sleep(CONTROL_POLL_S)
-                self._near, self._stops = False, self._link.stops
+                self._near = False
 
     def _follow_next_chunk(self) -> None:
         config, looked_s = self._config, time.monotonic()

@@ -76,7 +76,7 @@ class Options:
     region: Region | None = None
 
 
-# Stops by this program's tool, and the number of the server's stops.
+# Count of stops by this program's tool, and the number of the server's last stop.
 Stops = tuple[int, int]
 
 

@@ -297,7 +297,7 @@ class AsyncArm:
             await states.aclose()  # type: ignore[attr-defined]
 
     async def stops(self, timeout_s: float = 5.0) -> int:
-        """Return the number of the server's stops, for :func:`armbridge_client.after_stop`."""
+        """Return the number of the server's last stop, for :func:`armbridge_client.after_stop`."""
         async with self.topic("/arm/state", DiagnosticStatus, timeout_s=timeout_s) as states:
             return stops_of(await states.__anext__())
 

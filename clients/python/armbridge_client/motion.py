@@ -40,7 +40,7 @@ class AsyncPlan:
     """A planned motion, which has not moved anything.
 
     Args:
-        stops: number of the server's stops before it was planned.
+        stops: number of the server's last stop before it was planned.
 
     Attributes:
         trajectory: positions over time.

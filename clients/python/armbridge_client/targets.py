@@ -42,7 +42,7 @@ class State:
         mode: disconnected, connected, relaxed, holding, moving or fault; empty if unknown yet.
         fault: code of the fault, empty without one.
         message: the server's sentence about the arm.
-        stops: number of the server's stops, for :func:`armbridge_client.after_stop`.
+        stops: number of the server's last stop, for :func:`armbridge_client.after_stop`.
     """
 
     stamp_s: float
@@ -154,5 +154,5 @@ def state_of(joints: JointState, arm: DiagnosticStatus) -> State:
 
 
 def stops_of(arm: DiagnosticStatus) -> int:
-    """Return the number of the server's stops, of a message about the arm."""
+    """Return the number of the server's last stop, of a message about the arm."""
     return next((int(pair.value) for pair in arm.values if pair.key == "stops"), 0)

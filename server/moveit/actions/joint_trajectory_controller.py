@@ -18,8 +18,9 @@ from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
 from robot.trajectory import Trajectory, Vector
 from server.errors import GraphError, RefusedError, invalid_plan
-from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, MessageStream, Progress, TimeLimits
+from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Positions
+from server.execution.streams import MessageStream
 from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.permissions import GOAL
 from server.moveit.actions.goal_bridge import goal_status, submit_goal

@@ -146,7 +146,7 @@ def _read_object(lines: _Lines, name: str, frame: str) -> dict[str, Any]:
     has_pose = len(lines.peek().split()) > 1
     pose = _read_pose(lines) if has_pose else write_pose(IDENTITY)
     poses_of = {field: poses for field, poses, _ in shapes.GEOMETRY_KINDS}
-    geometry: dict[str, list[Any]] = {name: [] for names in poses_of.items() for name in names}
+    geometry: dict[str, list[Any]] = {key: [] for keys in poses_of.items() for key in keys}
     (count,) = lines.counts(1, "the number of shapes")
     for _ in range(count):
         kind = lines.next("a kind of shape")

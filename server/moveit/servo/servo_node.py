@@ -17,8 +17,8 @@ from robot.logs import LogLimiter
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError, ServiceError, UnsuccessfulError, invalid
-from server.execution.goal import Silence
 from server.execution.monitors import check_ready
+from server.execution.streams import Silence
 from server.graph.permissions import STOPPING, SWITCHING
 from server.graph.topics import LocalNode
 from server.moveit.messages import Message

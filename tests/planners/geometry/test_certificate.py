@@ -1,5 +1,6 @@
 import itertools
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from robot.trajectory import Trajectory
 from tests.helpers.motions import smooth_move
 from tests.helpers.resources import examples, in_proportion
 from tests.helpers.robots import LIFTED_SRDF, LIFTED_URDF, PAIR_SRDF, PAIR_URDF
-from tests.planners.scenes import around_the_arm, scene, thing
+from tests.planners.scenes import around_the_arm, boxes, scene, thing
 
 READY = np.array([0.0, -0.5, 0.5, 0.0, 0.0])
 POST = thing(Box((0.05, 0.05, 0.3)), 0.25, 0.1, 0.15)
@@ -65,6 +66,17 @@ def test_the_first_contact_is_found_with_its_time_also_with_a_wall_thinner_than_
         contact = certificate.certify(space, turn(*pans))
         assert name in {name for pair in contact.pairs for name in pair.links}
         assert contact.time_s < 0.07
+
+
+def test_a_longer_motion_among_many_objects_takes_no_more_memory(space_in, turn):
+    space, peaks_bytes = space_in(scene(*boxes(300))), []
+    for turns in (5, 25):
+        trajectory = turn(*[-1.0, 1.0] * turns)
+        tracemalloc.start()
+        assert certificate.certify(space, trajectory) is None
+        peaks_bytes.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks_bytes[1] < 2 * peaks_bytes[0]
 
 
 @pytest.mark.parametrize("seed", [0, 1, 6])

@@ -1,5 +1,6 @@
 """Features of a server: arms, interfaces and MoveIt."""
 
+import asyncio
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -14,14 +15,16 @@ from protocol.registry import Registry
 from protocol.type_descriptions import message_hash
 from robot.description.model import RobotModel, parse
 from robot.description.servo_table import HardwareTable
+from robot.stop_epochs import STOP_EPOCHS
 from server.app import App
 from server.arm.arms import ServedArm, read_arms
 from server.arm.calibrating import Recalibrated
 from server.arm.commissioning import Ended
+from server.arm.interface import STATE_TOPIC
 from server.arm.setup import Description
 from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
 from server.execution.goal import TimeLimits
-from server.features.arms import resumed, with_calibration
+from server.features.arms import ArmControl, resumed, with_calibration
 from server.features.clients import PATH
 from server.features.context import ServerContext, context_of
 from server.features.moveit import MoveGroup, PlanningScene, slow_to_brake
@@ -30,7 +33,7 @@ from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
 from tests.helpers import robots
 from tests.helpers.fake_arm import FakeArm
-from tests.helpers.graph import answered
+from tests.helpers.graph import answered, listen
 from tests.helpers.messages import REGISTRY
 from tests.helpers.robots import so101
 from tests.helpers.rules import server_rules, started
@@ -225,3 +228,16 @@ async def test_a_saved_state_is_a_named_goal_and_moves_after_its_confirmation(cl
         assert abs(client.topics["/joint_states"][-1]["position"][0] - 0.3) < ARRIVED_RAD
     finally:
         await client.call("/moveit_goal_confirm_mode", data=False)
+
+
+async def test_the_number_of_a_stop_is_shown_at_once() -> None:
+    app = await started(Settings())
+    (control,) = (each for each in app.features if isinstance(each, ArmControl))
+    states = listen(app.graph, STATE_TOPIC)
+    await control.start()
+    number = STOP_EPOCHS.begin()
+    await asyncio.sleep(0)
+    await control.stop()
+    STOP_EPOCHS.begin()
+    await asyncio.sleep(0)
+    assert values_of(states[-1])["stops"] == str(number)

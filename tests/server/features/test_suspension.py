@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from robot.control.pacing import PERIOD_S
+from server.features.context import ArmContext
 from server.features.suspension import LEAST_S, LOOK_S, Bounds, Suspension, suspended_s
 from tests.helpers.stage import RecordedStage
 
@@ -66,6 +67,21 @@ async def test_clocks_that_are_read_late_are_no_suspension(laptop: Laptop) -> No
     for laptop.suspended in ((-10.0, 0.0), (0.0, 10.0), (0.9 * LEAST_S, 0.9 * LEAST_S)):
         await asyncio.sleep(2.0 * LOOK_S)
     assert laptop.results == []
+
+
+async def test_a_stop_that_fails_does_not_end_the_watch(laptop: Laptop, monkeypatch: pytest.MonkeyPatch) -> None:
+    reasons: list[str] = []
+
+    def fail(_context: ArmContext, reason: str) -> None:
+        reasons.append(reason)
+        raise ValueError(reason)
+
+    monkeypatch.setattr(ArmContext, "stop", fail)
+    asyncio.get_running_loop().set_exception_handler(lambda *_failure: None)
+    for length_s in (10.0, 30.0):
+        laptop.suspended = (length_s, length_s)
+        await asyncio.sleep(2.0 * LOOK_S)
+    assert reasons == [f"the machine was suspended for {length} s" for length in (10, 20)]
 
 
 def test_the_bounds_are_about_clocks_that_are_read_in_a_row() -> None:

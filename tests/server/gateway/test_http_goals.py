@@ -34,16 +34,22 @@ class Arm:
         self.epochs: list[int] = []
         self.ends: list[Response] = []
         self.gripper: list[ActionGoal] = []
+        self.stops, self.stands = 0, asyncio.Event()
+        self.stands.set()
         type_name, trigger = "armbridge_msgs/srv/MoveitGoal", "std_srvs/srv/Trigger"
         graph.services.offer_calls(self.node, "/moveit_goal", type_name, self._call, rule=CALLED_GOAL)
-        stopped = {"success": True, "message": "stopped"}
-        graph.services.offer(self.node, "/arm/stop", trigger, lambda _: stopped, rule=STOPPING)
+        graph.services.offer(self.node, "/arm/stop", trigger, self._stop, rule=STOPPING)
         graph.actions.offer(self.node, GRIPPER_ACTION, GRIPPER_TYPE, self.gripper.append, rule=GOAL)
 
     def _call(self, call: Call) -> None:
         self.epochs.append(arrival_epoch())
         self.calls.append(call)
         call.when_ended(self.ends.append)
+
+    async def _stop(self, _request: object) -> str:
+        self.stops += 1
+        await self.stands.wait()
+        return "stopped"
 
     async def call(self) -> Call:
         await until(lambda: bool(self.calls))
@@ -267,3 +273,13 @@ async def test_a_goal_is_as_old_as_the_stop_that_it_names(door: Door) -> None:
     (await door.arm.call()).succeed({"success": True})
     await door.answer(reader)
     assert door.arm.epochs == [seen]
+
+
+async def test_the_answer_to_a_stop_names_no_later_stop(door: Door) -> None:
+    door.arm.stands.clear()
+    reader = await door.open({"stop": True})
+    await until(lambda: door.arm.stops == 1)
+    before = STOP_EPOCHS.present
+    STOP_EPOCHS.begin()
+    door.arm.stands.set()
+    assert (await door.answer(reader))[1]["stops"] == before

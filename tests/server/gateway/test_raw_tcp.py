@@ -200,6 +200,17 @@ async def test_a_half_closed_client_gets_its_answers(listener: Listener, monkeyp
         assert await client.next_frame() is None
 
 
+async def test_a_half_closed_client_gets_answers_that_are_longer_than_what_is_sent_at_once(
+    graph: Graph, listener: Listener
+) -> None:
+    graph.services.offer(TALKER, "/long", "std_srvs/Trigger", lambda _: {"success": True, "message": "x" * 100_000})
+    async with await RawClient.connect(port_of(listener)) as client:
+        for number in range(20):
+            client.send(op="call_service", service="/long", id=str(number))
+        client.writer.write_eof()
+        assert [(await client.receive())["id"] for _ in range(20)] == [str(number) for number in range(20)]
+
+
 async def test_a_client_that_goes_on_sending_is_told_why_it_is_closed(listener: Listener) -> None:
     async with await RawClient.connect(port_of(listener)) as client:
         for _ in range(100):

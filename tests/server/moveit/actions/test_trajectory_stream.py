@@ -14,7 +14,7 @@ import pytest
 
 from robot.control.pacing import PERIOD_S
 from robot.trajectory import Vector
-from server.execution.goal import STREAM_PAUSE_S
+from server.execution.streams import STREAM_PAUSE_S
 from tests.helpers import stage as stage_module
 from tests.helpers.clock import SteppedLoop
 from tests.helpers.graph import listen

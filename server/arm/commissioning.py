@@ -191,6 +191,8 @@ class Commissioning:
         self._ended = Ended()
         name = f"commissioning: {request['procedure']}"
         self._task = asyncio.create_task(self._run(procedure, self._dialogue), name=name)
+        # A client that looks at once must not take the last procedure's result for this one's.
+        self._show()
         return f"{request['procedure']} begins: see {self._node.resolve(STATE_TOPIC)}"
 
     def _answer(self, request: dict[str, Any]) -> str:

@@ -10,6 +10,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request
 
 from harness.clients import ArmClient, values_of
+from harness.waiting import until
 from planners.pool import PlannerPool
 from protocol.registry import Registry
 from protocol.type_descriptions import message_hash
@@ -71,6 +72,16 @@ async def test_each_of_several_arms_is_commissioned_by_its_name() -> None:
     assert begin("/right")["success"]
     for arm in ("left", "right"):
         assert answered(app.graph, f"/{arm}/arm/commissioning/cancel").values["success"]
+
+
+async def test_a_procedure_that_begins_is_shown_at_once_in_place_of_the_end_of_the_last_one() -> None:
+    app = await started(Settings())
+    states = listen(app.graph, "/arm/commissioning/state")
+    for _ in range(2):
+        answered(app.graph, "/arm/commissioning/begin", procedure="verify", name="")
+        assert (states[-1]["procedure"], states[-1]["result"]) == ("verify", "")
+        answered(app.graph, "/arm/commissioning/cancel")
+        await until(lambda: states[-1]["result"] == "verify ended early: cancelled")
 
 
 def test_a_new_calibration_is_that_of_its_arm_alone(tmp_path: Path) -> None:

@@ -143,7 +143,7 @@ export class SequencePlayer {
     for (const [index, waypoint] of waypoints.entries()) {
       const onAsk = (): void => this.store.patch("sequence", { checks: [...checks] });
       const check = await this.checkLeg(waypoint, start_rad, index === 0, onAsk);
-      if (number !== this.check_number) return checks;
+      if (number !== this.check_number || waypoints !== this.store.state.sequence.waypoints) return checks;
       checks[index] = check;
       this.store.patch("sequence", { checks: [...checks] });
       start_rad = check.end_rad ?? waypoint.joints_rad;

@@ -105,7 +105,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
     arm = _arm_of(sources, joints, options)
     episodes = [each for source in sources for each in source.episodes]
     if not episodes:
-        reasons = f"{'; '.join(problems)}; --max-gap allows longer gaps" if problems else "none is left"
+        reasons = f"{'; '.join(problems)}; gaps are allowed up to --max-gap" if problems else "none is left"
         raise ExportError(f"no episode can be exported: {reasons}")
     options.output.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.output.parent, prefix=f".{options.output.name}-") as folder:

@@ -94,7 +94,7 @@ class Topic:
     subscribers: dict[Node, Subscriber] = field(default_factory=dict)
     latching: set[Node] = field(default_factory=set)
     depth: int = 0
-    limits: ListLimits | None = None
+    limits: ListLimits | None = None  # of its subscribers; kept here, as each message of a flood asks for them
 
     @property
     def used(self) -> bool:
@@ -248,7 +248,8 @@ class Graph:
         """End the delivery to ``node``; nothing happens when there is none."""
         topic = self._topics.get(name)
         if topic is not None and node in topic.subscribers:
-            del topic.subscribers[node]
+            if topic.subscribers.pop(node).limits is not None:
+                topic.limits = None
             self.subscriptions.discard(node, name)
             self._left(topic)
 

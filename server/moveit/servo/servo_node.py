@@ -187,9 +187,10 @@ class CommandGate:
 
     def rejection(self, client: object, kind: CommandType, now_s: float) -> str:
         """Return the reason for not following a command; empty if it is followed."""
-        if client not in self._silences:
+        if (silence := self._silences.get(client)) is None:
             self._silences = {each: silence for each, silence in self._silences.items() if self._present(each)}
-        let_go = self._silences.setdefault(client, Silence(self._timeout_s)).end()
+            silence = self._silences[client] = Silence(self._timeout_s)
+        let_go = silence.end()
         left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self.owner)
         if self.owner is not None and left:
             # The selection of a client ends with its control.

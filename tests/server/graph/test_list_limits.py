@@ -110,3 +110,11 @@ def test_no_frame_is_read_by_itself_for_a_reader_with_limits(graph: Graph) -> No
     assert graph.strict_reader(CLIENT, "/texts") is not None
     graph.subscribe(SERVER, "/texts", None, Subscriber(lambda _published: None, limits=ListLimits()))
     assert graph.strict_reader(CLIENT, "/texts") is None
+
+
+def test_a_readers_limits_end_with_its_subscription(graph: Graph) -> None:
+    limits = ListLimits({"geometry_msgs/msg/PoseArray.poses": 2})
+    graph.subscribe(SERVER, "/poses", "geometry_msgs/msg/PoseArray", Subscriber(lambda _published: None, limits=limits))
+    graph.subscribe(CLIENT, "/poses", None, Subscriber(lambda _published: None))
+    graph.unsubscribe(SERVER, "/poses")
+    graph.publish(CLIENT, "/poses", {"poses": [{}] * 3})

@@ -1,7 +1,7 @@
 """Changes the source in one place at a time and counts how many of the changes a test notices: `make mutation`.
 
 The changes are drawn by seed from all that cosmic-ray knows, and made in copies of the commit, in build/mutation.
-Printed are the share that is noticed in each room, with its standard error, and every change that no test notices.
+Printed are the share that is noticed in each package, with its standard error, and every change that no test notices.
 """
 
 import argparse
@@ -46,9 +46,9 @@ def sampled(database: WorkDB, number: int, seed: int) -> None:
     database.set_multiple_results(skipped, WorkResult(WorkerOutcome.SKIPPED))
 
 
-def copied(room: str) -> Path:
+def copied(package: str) -> Path:
     """Return a new folder of what is committed, with this environment."""
-    folder = COPIES / room.replace("/", "-")
+    folder = COPIES / package.replace("/", "-")
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     archive = subprocess.run(["git", "archive", "HEAD"], cwd=ROOT, check=True, capture_output=True)
@@ -57,21 +57,21 @@ def copied(room: str) -> Path:
     return folder
 
 
-def run(room: str, number: int, seed: int) -> Counter[str]:
-    """Try changes of one room; return how many were noticed and how many not."""
-    folder = copied(room)
+def run(package: str, number: int, seed: int) -> Counter[str]:
+    """Try changes of one package; return how many were noticed and how many not."""
+    folder = copied(package)
     configuration, session = folder / "mutation.toml", folder / "mutation.sqlite"
     # Servers that the tests start are changed too: the environment's own source comes after this path.
     environment = {**os.environ, "PYTHONPATH": str(folder)}
-    tests = f"{PYTHON} -m pytest -x -q -n 0 -p no:cacheprovider {PACKAGES[room]}"
+    tests = f"{PYTHON} -m pytest -x -q -n 0 -p no:cacheprovider {PACKAGES[package]}"
     configuration.write_text(
-        f'[cosmic-ray]\nmodule-path = "{room}"\ntimeout = {TIMEOUT_S}\nexcluded-modules = []\n'
+        f'[cosmic-ray]\nmodule-path = "{package}"\ntimeout = {TIMEOUT_S}\nexcluded-modules = []\n'
         f'test-command = "{tests}"\n[cosmic-ray.distributor]\nname = "local"\n'
     )
     cosmic_ray = [str(Path(sys.executable).with_name("cosmic-ray"))]
     unchanged = subprocess.run(tests.split(), cwd=folder, check=False, capture_output=True, text=True, env=environment)
     if unchanged.returncode != 0:
-        sys.exit(f"{room}: the tests fail without a change\n{unchanged.stdout}")
+        sys.exit(f"{package}: the tests fail without a change\n{unchanged.stdout}")
     subprocess.run([*cosmic_ray, "init", configuration.name, session.name], cwd=folder, check=True)
     with use_db(str(session), WorkDB.Mode.open) as database:
         sampled(database, number, seed)
@@ -89,18 +89,18 @@ def run(room: str, number: int, seed: int) -> Counter[str]:
 
 
 def main() -> int:
-    """Try changes of every room that is named, or of all."""
+    """Try changes of every package that is named, or of all."""
     parser = argparse.ArgumentParser(prog="make mutation", description=__doc__)
-    parser.add_argument("rooms", nargs="*", metavar="ROOM", choices=[*PACKAGES, []], help=", ".join(PACKAGES))
-    parser.add_argument("--changes", type=int, default=40, metavar="N", help="changes of each room (40)")
+    parser.add_argument("packages", nargs="*", metavar="PACKAGE", choices=[*PACKAGES, []], help=", ".join(PACKAGES))
+    parser.add_argument("--changes", type=int, default=40, metavar="N", help="changes of each package (40)")
     parser.add_argument("--seed", type=int, default=1, help="which changes (1)")
     options = parser.parse_args()
-    for room in options.rooms or PACKAGES:
-        found = run(room, options.changes, options.seed)
+    for package in options.packages or PACKAGES:
+        found = run(package, options.changes, options.seed)
         share = found["noticed"] / found.total()
         error = math.sqrt(share * (1.0 - share) / found.total())
         noticed = f"{found['noticed']} of {found.total()} changes were noticed"
-        print(f"{room}: {noticed}, {share:.0%} with a standard error of {error:.0%}", flush=True)
+        print(f"{package}: {noticed}, {share:.0%} with a standard error of {error:.0%}", flush=True)
     return 0
 
 

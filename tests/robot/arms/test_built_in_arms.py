@@ -10,6 +10,7 @@ from robot.calibration import Calibration
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import within_calibration
 from robot.description.robot_folder import BUILT_IN, built_in, built_in_names
+from tests.helpers.source import PACKAGES
 
 ROOT = Path(__file__).parents[3]
 NAMES = built_in_names()
@@ -75,8 +76,8 @@ def test_no_module_knows_the_joints_of_a_built_in_arm() -> None:
     }
     known = re.compile(r"\b(" + "|".join(sorted(joints)) + r")\b")
     found = []
-    for room in ("server", "planners", "robot", "protocol"):
-        for path in (ROOT / room).rglob("*"):
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*"):
             if path.suffix not in {".py", ".ts"} or path.name.endswith(".test.ts") or "node_modules" in path.parts:
                 continue
             if BUILT_IN not in path.parents:

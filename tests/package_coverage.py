@@ -1,6 +1,6 @@
-"""Lines and branches of the four rooms that a run of `make test` reached, from its report in JSON; fails below 90 %.
+"""Lines and branches of the four packages that a run of `make test` reached, from its report in JSON; fails below 90 %.
 
-``make test ARGS="--cov --cov-report=json:build/coverage.json"``, then ``python -m tests.room_coverage``.
+``make test ARGS="--cov --cov-report=json:build/coverage.json"``, then ``python -m tests.package_coverage``.
 """
 
 import json
@@ -18,11 +18,11 @@ LEAST_PERCENT = 90.0
 def main() -> int:
     """Print a table; return 1 where lines and branches together are reached too seldom."""
     files = json.loads(REPORT.read_text())["files"]
-    counts = {room: Counter[str]() for room in PACKAGES}
+    counts = {package: Counter[str]() for package in PACKAGES}
     for name, file in files.items():
         counts[name.split("/")[0]].update({key: n for key, n in file["summary"].items() if isinstance(n, int)})
     counts["all"] = sum(counts.values(), Counter())
-    rows = [[room, *(f"{percent:.1f}" for percent in _percents(count))] for room, count in counts.items()]
+    rows = [[package, *(f"{percent:.1f}" for percent in _percents(count))] for package, count in counts.items()]
     print_table(f"Reached by make test [%], at least {LEAST_PERCENT:g} of all", ["", "lines", "branches", "both"], rows)
     return int(_percents(counts["all"])[2] < LEAST_PERCENT)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,14 +16,14 @@ from protocol.errors import ProtocolError
 from robot.logs import LogLimiter
 from server.access.authorization import Access
 from server.access.settings import AccessSettings
-from server.errors import GraphError
+from server.errors import GraphError, RecordingError
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.lifecycle import on_hangup, stop_signals, unless_ended
 from server.recording.files import RecordedMessage
-from server.recording.reading import RecordedTopic, RecordingFile, Summary
+from server.recording.reading import messages
 from server.rosapi import RosApi
 
 log = logging.getLogger("armbridge.recording")
@@ -54,33 +54,26 @@ def replay(options: ReplayOptions) -> None:
     Raises RecordingError for the file, ConfigurationError for certificate and tokens, or none where others could
     connect, and StartError for the port.
     """
-    # Ahead of the event loop: a file without an index is read whole, which a signal ends at once here.
-    uvloop.run(serve(options, RecordingFile(options.path).summary()))
+    # Ahead of the event loop: a signal ends a read that waits at once here.
+    if next(messages(options.path), None) is None:
+        raise RecordingError(options.path, "has no messages of ROS 2")
+    uvloop.run(serve(options))
 
 
-async def serve(options: ReplayOptions, summary: Summary) -> None:
+async def serve(options: ReplayOptions) -> None:
     """Start a server, play until the end or a signal, stop."""
     graph = Graph(load_registry(options.server.interfaces))
     RosApi(graph)
     # There is no arm to control, so no client needs the lease.
     access = Access(options.access.model_copy(update={"control": "shared"}))
     listener = Listener(graph, options.server, access=access)
-    player = RecordingPlayer(graph, RecordingFile(options.path), options.rate)
+    player = RecordingPlayer(graph, options.path, options.rate)
     ending, _hurry = stop_signals()
     on_hangup(listener.reload_certificate, ending.set)
     try:
         await listener.bind()
         await listener.open()
-        # After the listener: recorded topics are not mixed with its own.
-        player.advertise(summary.topics)
-        incomplete = (
-            "" if summary.complete else "; the file was not ended in good order, what can be read of it is played"
-        )
-        log.info(
-            "%s",
-            f"replaying {options.path} on {listener.url} (rosbridge): "
-            f"{len(summary.topics)} topics, {summary.messages} messages, {summary.duration_s:.1f} s{incomplete}",
-        )
+        log.info("%s", f"replaying {options.path} on {listener.url} (rosbridge)")
         await unless_ended(ending, _play(player, options), cancel_timeout_s=None)
     finally:
         await listener.close()
@@ -96,62 +89,59 @@ async def _play(player: RecordingPlayer, options: ReplayOptions) -> None:
 
 
 def _next_messages(recorded: Iterator[RecordedMessage]) -> list[RecordedMessage]:
-    messages, size_bytes = [], 0
+    read, size_bytes = [], 0
     for message in itertools.islice(recorded, MESSAGES_AT_A_TIME):
-        messages.append(message)
+        read.append(message)
         size_bytes += len(message.octets)
         if size_bytes >= BYTES_AT_A_TIME:
             break
-    return messages
+    return read
 
 
 class RecordingPlayer:
-    """Publishes a recording on a graph, with the recorded timing."""
+    """Publishes a recording on a graph, with the recorded timing; a topic begins with its first message."""
 
-    def __init__(self, graph: Graph, recording: RecordingFile, rate: float) -> None:
+    def __init__(self, graph: Graph, recording: Path, rate: float) -> None:
         self._recording = recording
         self._rate = rate
         self._node = graph.node("replay")
-        self._topics: dict[str, RecordedTopic] = {}
+        # False for a topic that is left out, by topic and type.
+        self._offered: dict[tuple[str, str], bool] = {}
         self._unreadable_topics = LogLimiter()
         self.published = 0
         self.unreadable = 0
 
-    def advertise(self, topics: Iterable[RecordedTopic]) -> None:
-        """Advertise the recorded topics; a topic that cannot be advertised is logged and left out."""
-        for recorded in topics:
-            others = self._node.publishers(recorded.topic)
-            if any(not other.remote for other in others if other is not self._node):
-                log.info("%s is left out: the replaying server has its own", recorded.topic)
-            elif problem := recorded.problem or self._advertise(recorded):
-                log.warning("%s is left out: it %s", recorded.topic, problem)
-            else:
-                self._topics.setdefault(recorded.topic, recorded)
-
     async def play(self) -> None:
-        """Publish every message at its time, once through the file."""
+        """Publish every message at its time, once through the recording."""
         loop = asyncio.get_running_loop()
         started_s, first_ns = loop.time(), None
-        recorded = self._recording.messages()
-        while messages := await asyncio.to_thread(_next_messages, recorded):
-            for message in messages:
+        recorded = messages(self._recording)
+        while read := await asyncio.to_thread(_next_messages, recorded):
+            for message in read:
                 first_ns = message.log_time_ns if first_ns is None else first_ns
                 due_s = started_s + (message.log_time_ns - first_ns) / 1e9 / self._rate
                 # Also when it is late already: clients are served between two messages.
                 await asyncio.sleep(max(0.0, due_s - loop.time()))
                 self._publish(message)
 
-    def _advertise(self, recorded: RecordedTopic) -> str:
-        """Advertise a topic; return the problem, or an empty text."""
+    def _offer(self, message: RecordedMessage) -> bool:
+        """Advertise the topic of a message; a topic that cannot be advertised is logged."""
+        others = self._node.publishers(message.topic)
+        if any(not other.remote for other in others if other is not self._node):
+            log.info("%s is left out: the replaying server has its own", message.topic)
+            return False
         try:
-            self._node.advertise(recorded.topic, recorded.type_name, latch=recorded.latched)
+            self._node.advertise(message.topic, message.type_name, latch=message.latched)
         except GraphError as error:
-            return f"cannot be offered: {error}"
-        return ""
+            log.warning("%s is left out: it cannot be offered: %s", message.topic, error)
+            return False
+        return True
 
     def _publish(self, message: RecordedMessage) -> None:
-        recorded = self._topics.get(message.topic)
-        if recorded is None or recorded.type_name != message.type_name:
+        topic = message.topic, message.type_name
+        if topic not in self._offered:
+            self._offered[topic] = self._offer(message)
+        if not self._offered[topic]:
             return
         try:
             values = cdr.deserialize(self._node.message_types.registry, message.type_name, message.octets)

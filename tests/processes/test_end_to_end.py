@@ -17,7 +17,7 @@ from harness.waiting import TIMEOUT_S, until
 from server.errors import RecordingError
 from server.gateway.http import HOW_TO_BUILD_PAGE, page_is_built
 from server.installation import PAGE_DIRECTORY
-from server.recording.reading import RecordingFile
+from server.recording.reading import messages
 from tests.helpers.robots import nominal_calibration, so101
 
 # What the Unreal client sends, to the letter.
@@ -157,7 +157,7 @@ def decoded(path: Path, topic: str) -> list[Any]:
 def has_joint_states(recording: Path) -> bool:
     """Whether a recording, ended or not, has joint states."""
     try:
-        return "/joint_states" in {each.topic for each in RecordingFile(recording).summary().topics}
+        return any(each.topic == "/joint_states" for each in messages(recording))
     except RecordingError:
         return False
 

@@ -8,7 +8,7 @@ from protocol.codecs import cdr
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
 from server.recording.files import RecordedMessage, RecordingSeries
-from server.recording.reading import RecordingFile
+from server.recording.reading import messages
 
 REGISTRY = Registry.load()
 START_NS = 1_700_000_000_000_000_000
@@ -47,7 +47,7 @@ def record(path: Path, entries: Iterable[RecordedMessage], registry: Registry = 
 
 def recorded_messages(path: Path) -> list[RecordedMessage]:
     """Return all messages of a recording, as they are in the file."""
-    return list(RecordingFile(path).messages())
+    return list(messages(path))
 
 
 def record_killed(path: Path, chunks: Iterable[Iterable[RecordedMessage]]) -> Path:

@@ -9,7 +9,7 @@ from server.config import RecordingSettings, Settings
 from server.errors import ConfigurationError, StartError
 from server.features.monitoring import Recording
 from server.gateway.settings import ServerSettings
-from server.recording.reading import RecordingFile
+from server.recording.reading import messages
 from server.zenoh.settings import ZenohSettings
 from tests.conformance.cases import INTERFACES
 
@@ -34,7 +34,7 @@ async def test_a_recording_has_what_the_server_latches_when_it_is_made(tmp_path:
     recording = next(each for each in app.features if isinstance(each, Recording))
     await recording.open_file()
     await recording.stop()
-    recorded = {topic.topic for topic in RecordingFile(tmp_path / "run.mcap").summary().topics}
+    recorded = {message.topic for message in messages(tmp_path / "run.mcap")}
     assert {"/arm/state", "/arm/joint_limits"} <= recorded
 
 

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from robot.description import robot_folder
 from robot.description.robot_folder import built_in_names
@@ -89,6 +90,19 @@ def test_what_a_command_cannot_do_is_one_sentence(tmp_path: Path, capsys: pytest
     assert capsys.readouterr().err == f"armbridge: recording {tmp_path / 'notes.txt'}: is not an MCAP file\n"
     assert cli.main(["emulate", "--start=0,0"]) == ExitCode.FAILED
     assert "armbridge: the start pose needs 6 positions, not 2" in capsys.readouterr().err
+
+
+def test_a_file_without_messages_of_ros_2_is_not_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with (tmp_path / "run.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        writer.add_message(writer.register_channel("/t", "json", 0), 1, b"{}", 1)
+        writer.finish()
+    assert cli.main(["replay", str(tmp_path / "run.mcap"), "--port", "0"]) == ExitCode.FAILED
+    assert "run.mcap: has no messages of ROS 2" in capsys.readouterr().err
+    assert "/t is left out: it is encoded as 'json', not 'cdr'" in caplog.text
 
 
 def test_a_wrong_setting_is_one_line_and_exit_2(capsys):

@@ -80,13 +80,7 @@ DUTY_PERMILLE_PER_NM = 130.0
 
 STALL_TORQUE_NM = 1.62  # STS3215 C001 at 6 V: 16.5 kg cm
 
-# Instructions of the protocol manual without a name in Feetech's SDK.
-INST_RESTORE = 0x06
-INST_REBOOT = 0x08
-INST_BACKUP = 0x09
-INST_RESET = 0x0A
-INST_CALIBRATE = 0x0B
-_MAINTENANCE = (INST_RESTORE, INST_REBOOT, INST_BACKUP, INST_RESET, INST_CALIBRATE)
+INST_RESET = 0x0A  # of the protocol manual, without a name in Feetech's SDK
 
 # The EPROM ends where the SRAM begins, including addresses that are not documented.
 _EPROM_BYTES = int(Register.TORQUE_ENABLE)
@@ -115,7 +109,7 @@ class FeetechServo(EmulatedServo[Register]):
         self.powers_up_unlocked = False  # True if power-ups leave the EPROM unlocked
         for register, value in {**FACTORY_EPROM, **eprom}.items():
             self.memory.set(register, value)
-        self._backup = self._stored_eprom = self._present_eprom
+        self._stored_eprom = self._present_eprom
         self.power_up()
 
     def power_up(self) -> None:
@@ -164,28 +158,12 @@ class FeetechServo(EmulatedServo[Register]):
         return code in (INST_PING, INST_READ) or self.value(Register.RESPONSE_LEVEL) != 0
 
     def maintain(self, code: int) -> bool:
-        """Carry out an instruction of the factory's tools; INST_RESET finds no count of turns to clear."""
-        match code:
-            case _ if code == INST_REBOOT:
-                self.power_up()
-            case _ if code == INST_BACKUP:
-                self._backup = self._present_eprom
-            case _ if code == INST_RESTORE:
-                self.restore()
-            case _ if code == INST_CALIBRATE:
-                self.make_middle()
-        return code in _MAINTENANCE
+        """Carry out INST_RESET, which finds no count of turns to clear."""
+        return code == INST_RESET
 
     def make_middle(self) -> None:
         """Store the homing offset with which the present position reads 2048, or as near as the register allows."""
         self.memory.set(Register.HOMING_OFFSET, round(self.plant.position_ticks) % TICKS_PER_TURN - MIDDLE_TICKS)
-        self._stored_eprom = self._present_eprom
-        self._follow_registers()
-
-    def restore(self) -> None:
-        """Restore the EPROM of the latest backup, or the initial one; the id stays."""
-        self.memory.write(0, self._backup)
-        self.memory.set(Register.ID, self.servo_id)
         self._stored_eprom = self._present_eprom
         self._follow_registers()
 

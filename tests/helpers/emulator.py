@@ -117,7 +117,6 @@ class SteppedEmulator:
 
 
 PING, READ, WRITE, REG_WRITE, ACTION, SYNC_READ, SYNC_WRITE = 1, 2, 3, 4, 5, 0x82, 0x83
-RESTORE, REBOOT, BACKUP, CALIBRATE = 6, 8, 9, 11
 ALL = 0xFE
 IDS = [1, 2, 3, 4, 5, 6]
 
@@ -150,7 +149,6 @@ CHANGES = [
     packet(3, WRITE, [Register.BAUD_RATE, 0]),
     packet(1, REG_WRITE, [GOAL_ADDRESS, *goal_block(2300, 500)]),
     packet(ALL, ACTION),
-    *(packet(3, code) for code in (RESTORE, REBOOT, BACKUP, CALIBRATE)),
 ]
 PACKETS = st.sampled_from(CHANGES + QUESTIONS)
 # Whole instructions, several that come together, and some that end too early.

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot.emulator.arm import weight_of
-from robot.emulator.feetech import FACTORY_EPROM, MEMORY_BYTES, FeetechServo, build_servos
+from robot.emulator.feetech import MEMORY_BYTES, FeetechServo, build_servos
 from robot.emulator.plant import Plant
 from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
@@ -119,16 +119,13 @@ def test_no_write_changes_what_is_read_only_or_adds_memory(address, data):
 
 
 @pytest.mark.parametrize(("lock", "kept"), [(1, 32), (0, 16)])
-def test_eprom_outlives_a_power_cut_only_when_written_unlocked_and_a_restore_brings_back_all_but_the_id(lock, kept):
+def test_eprom_outlives_a_power_cut_only_when_written_unlocked(lock, kept):
     servo = servo_at()
     put(servo, "LOCK", lock)
     put(servo, "P_GAIN", 16)
     assert servo.value(Register.P_GAIN) == 16
     servo.power_up()
     assert servo.value(Register.P_GAIN) == kept
-    put(servo, "ID", 9)
-    servo.restore()
-    assert (servo.value(Register.P_GAIN), servo.value(Register.ID)) == (FACTORY_EPROM[Register.P_GAIN], 9)
 
 
 def turning(position: float, offset: int = 0, phase: int = 12) -> FeetechServo:

@@ -26,13 +26,9 @@ from robot.hardware.feetech.registers import Register
 from tests.helpers.emulator import (
     ACTION,
     ALL,
-    BACKUP,
-    CALIBRATE,
     PING,
     READ,
-    REBOOT,
     REG_WRITE,
-    RESTORE,
     SYNC_READ,
     SYNC_WRITE,
     WRITE,
@@ -262,29 +258,20 @@ def test_a_servo_answers_no_more_than_its_response_level_allows_and_to_nonsense_
         assert [dynamixels.ask(2, *each) != b"" for each in asked] == answers
 
 
-def test_a_restore_brings_back_what_was_backed_up_for_good_but_the_id(feetechs):
-    servo = feetechs.servos[0]
-    servo.write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(1234))
+def test_a_reset_is_acknowledged_and_changes_nothing(feetechs):
+    feetechs.servos[0].write(Register.GOAL_POSITION, Register.GOAL_POSITION.encode(1234))
     assert feetechs.ask(1, RESET) == feetechs.status(1)
     assert feetechs.values("GOAL_POSITION")[0] == 1234
-    servo.write(Register.P_GAIN, bytes([20]))
-    feetechs.ask(1, BACKUP)
-    servo.write(Register.P_GAIN, bytes([5]))
-    servo.write(Register.ID, bytes([9]))
-    feetechs.ask(9, RESTORE)
-    feetechs.ask(9, REBOOT)
-    assert (servo.servo_id, servo.value(Register.P_GAIN)) == (9, 20)
 
 
-@pytest.mark.parametrize(("code", "parameters"), [(CALIBRATE, b""), (WRITE, bytes([Register.TORQUE_ENABLE, 128]))])
-def test_the_present_position_is_made_the_middle_for_good_or_as_near_as_the_offset_goes(feetechs, code, parameters):
+def test_the_present_position_is_made_the_middle_for_good_or_as_near_as_the_offset_goes(feetechs):
     for servo, at, shown in ((2, 1000.0, 2048), (0, 0.0, 2047)):
         made = feetechs.servos[servo]
         made.plant.position_ticks = at
         made.write(Register.TORQUE_ENABLE, bytes([1]))
-        feetechs.ask(servo + 1, code, parameters)
+        feetechs.ask(servo + 1, WRITE, bytes([Register.TORQUE_ENABLE, 128]))
         assert (made.present_ticks, made.value(Register.TORQUE_ENABLE)) == (shown, 1)
-        feetechs.ask(servo + 1, REBOOT)
+        made.power_up()
         assert made.present_ticks == shown
     assert feetechs.values("HOMING_OFFSET")[0] == -2047
 

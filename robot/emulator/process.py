@@ -36,7 +36,6 @@ from robot.emulator.servo_bus import EmulatedBus, Faults, WriteLog
 from robot.errors import DescriptionError
 
 MAX_AT_S = 86_400.0  # a day; a later time is likely a mistaken unit
-MIN_REPEATED_S = 0.1  # shortest duration of a repeated script [s]: a shorter one would keep the loop that plays it busy
 
 # Time from the host's first byte to the first event of a ready-made rehearsal: a person reads the question of
 # `armbridge calibrate` and presses Enter, a server takes the arm over.
@@ -64,14 +63,10 @@ class TimedCommand:
 
 
 class Rehearsal:
-    """Schedule of commands in order; raises ValueError for a repeated one shorter than :data:`MIN_REPEATED_S`."""
+    """Schedule of commands in order."""
 
-    def __init__(self, commands: Sequence[TimedCommand] = (), *, repeats: bool = False) -> None:
-        if repeats and (not commands or commands[-1].at_s < MIN_REPEATED_S):
-            last = f"it is {commands[-1].at_s:g}" if commands else "there is none"
-            raise ValueError(f"a script is repeated only if its last at_s is {MIN_REPEATED_S:g} or more; {last}")
+    def __init__(self, commands: Sequence[TimedCommand] = ()) -> None:
         self.commands = tuple(commands)
-        self._repeats = repeats
         self._start_s: float | None = None
         self._next = 0
 
@@ -80,15 +75,13 @@ class Rehearsal:
             self._start_s = now_s
 
     def commands_due(self, now_s: float) -> list[TimedCommand]:
-        """Return the commands due since the last call; the next round starts when the last command is noticed."""
+        """Return the commands due since the last call."""
         due: list[TimedCommand] = []
         if self._start_s is None:
             return due
         while self._next < len(self.commands) and self.commands[self._next].at_s <= now_s - self._start_s:
             due.append(self.commands[self._next])
             self._next += 1
-        if self._repeats and self._next == len(self.commands):
-            self._start_s, self._next = now_s, 0
         return due
 
 
@@ -315,7 +308,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="play a ready-made script: sweep, a hand moves every joint from stop to stop; push, something pushes a "
         "joint and lets go; stall, an obstacle is in a joint's way, and later goes",
     )
-    add("--repeat", action="store_true", help="play the script again and again")
     # Inherited socket of a controlling process: its end ends the emulator.
     add("--control-fd", type=int, help=argparse.SUPPRESS)
 
@@ -356,11 +348,9 @@ def configure(options: argparse.Namespace, emulation: Emulation) -> None:
 def build_rehearsal(options: argparse.Namespace, bus: EmulatedBus[FeetechServo]) -> Rehearsal:
     """Build the rehearsal of the options, without commands if they name none; raises as :func:`run` does."""
     if options.script:
-        return Rehearsal(read_script(options.script, bus), repeats=options.repeat)
+        return Rehearsal(read_script(options.script, bus))
     if options.rehearse:
-        return Rehearsal(REHEARSALS[options.rehearse](_calibration(options)), repeats=options.repeat)
-    if options.repeat:
-        raise ValueError("--repeat needs a script to repeat: --script or --rehearse")
+        return Rehearsal(REHEARSALS[options.rehearse](_calibration(options)))
     return Rehearsal()
 
 

@@ -254,20 +254,6 @@ def test_every_command_is_due_once_at_its_time_from_the_first_start() -> None:
     assert rehearsal.commands_due(START_S + 1000.0) == []
 
 
-def test_a_script_that_repeats_starts_again_after_its_last_command_unless_it_takes_no_time() -> None:
-    rehearsal = Rehearsal([HOLD, LET_GO], repeats=True)
-    rehearsal.start(START_S)
-    for after_s, due in (
-        *((2.0, [HOLD, LET_GO]), (2.0, [HOLD]), (3.9, []), (4.0, [LET_GO])),
-        # Rounds that a suspended machine missed are not made up for.
-        *((3600.0, [HOLD, LET_GO]), (3600.0, [HOLD]), (3601.0, [])),
-    ):
-        assert rehearsal.commands_due(START_S + after_s) == due
-    for commands, error_text in (([HOLD], "it is 0"), ([], "there is none")):
-        with pytest.raises(ValueError, match=rf"its last at_s is 0\.1 or more; {error_text}"):
-            Rehearsal(commands, repeats=True)
-
-
 def test_a_script_is_read_line_by_line_and_refused_without_any(tmp_path: Path) -> None:
     file = tmp_path / "script.jsonl"
     file.write_text('{"at_s": 0, "hand": {"3": 2000}}\n\n{"at_s": 2, "hand": {"3": null}, "drop": 0.5}\n{"at_s": 2.5}')
@@ -349,20 +335,10 @@ def rehearsed(*arguments: str) -> Rehearsal:
     return process.build_rehearsal(options_parser().parse_args(arguments), bus_of())
 
 
-def test_a_rehearsal_is_that_of_the_emulated_arm_and_any_script_can_be_repeated(tmp_path: Path) -> None:
+def test_a_rehearsal_is_that_of_the_emulated_arm(tmp_path: Path) -> None:
     save(MEASURED, tmp_path / "arm.json")
     for name in REHEARSALS:
         assert rehearsed("--rehearse", name).commands == REHEARSALS[name](NOMINAL)
         measured = rehearsed("--rehearse", name, "--calibration", str(tmp_path / "arm.json"))
         assert measured.commands == REHEARSALS[name](MEASURED)
-    file = tmp_path / "script.jsonl"
-    file.write_text('{"at_s": 0, "hand": {"3": 2000}}\n{"at_s": 2, "hand": {"3": null}}\n')
-    for script in (["--rehearse", "push"], ["--script", str(file)]):
-        rehearsal = rehearsed("--repeat", *script)
-        rehearsal.start(START_S)
-        last_s = START_S + rehearsal.commands[-1].at_s
-        assert rehearsal.commands_due(last_s) == list(rehearsal.commands)
-        assert rehearsal.commands_due(2 * last_s) == list(rehearsal.commands)
     assert rehearsed().commands == ()
-    with pytest.raises(ValueError, match="--repeat needs a script to repeat: --script or --rehearse"):
-        rehearsed("--repeat")

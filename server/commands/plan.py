@@ -4,12 +4,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from robot.description import model, robot_folder
-from robot.description.model import RobotModel
-from robot.errors import DescriptionError
+from robot.description import robot_folder
 from server.commands.options import Subparsers, add_command, add_robot
 from server.commands.terminal import ExitCode, Terminal
-from server.errors import ConfigurationError
 
 # Options that override a field of every problem.
 _PROBLEM_SETTINGS = ("allowed_time_s", "optimization_time_s", "seed")
@@ -36,8 +33,6 @@ def add_plan_parser(subparsers: Subparsers) -> None:
     plan.add_argument("--json", type=Path, metavar="OUT", help="write trajectories and error codes as JSON")
     plan.add_argument("--plot", type=Path, metavar="OUT.png", help="draw positions and velocities (needs matplotlib)")
     add_robot(plan)
-    plan.add_argument("--urdf", type=Path, metavar="FILE", help="a URDF in place of the robot's")
-    plan.add_argument("--srdf", type=Path, metavar="FILE", help="the SRDF that goes with --urdf")
     plan.add_argument(
         "--time", type=float, dest="allowed_time_s", metavar="S", help="seconds after which a problem is given up"
     )
@@ -55,20 +50,9 @@ def _plan(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     chosen = plan_command.Options(
         options.problems, options.all, tuple(options.id), options.json, options.plot, settings, options.scheduler
     )
-    try:
-        robot = _robot(options.robot, options.urdf, options.srdf)
-    except DescriptionError as error:
-        raise ConfigurationError(str(error)) from error
+    robot = robot_folder.resolve(options.robot).model
     try:
         return ExitCode(plan_command.run(chosen, robot, sys.stdout, sys.stderr))
     except KeyboardInterrupt:
         terminal.say("armbridge: stopped before every problem was planned")
         return ExitCode.FAILED
-
-
-def _robot(name: str, urdf: Path | None, srdf: Path | None) -> RobotModel:
-    if urdf is None and srdf is None:
-        return robot_folder.resolve(name).model
-    if urdf is None or srdf is None:
-        raise ConfigurationError("--urdf and --srdf must be given together")
-    return model.load(urdf, srdf)

@@ -30,8 +30,7 @@ def test_plan_answers_by_a_table_and_bad_input_by_one_line(tmp_path: Path, capsy
     assert cli.main(["plan", str(path), "--seed", "3"]) == 0
     assert "SUCCESS" in capsys.readouterr().out
     for options, words in (
-        (["--urdf", "a.urdf"], "--urdf and --srdf must be given together"),
-        (["--urdf", "/nowhere.urdf", "--srdf", "/nowhere.srdf"], "cannot be read"),
+        (["--robot", "/nowhere"], "robot '/nowhere' is no folder"),
         ([], "/nowhere.json: cannot be read"),
     ):
         assert cli.main(["plan", "/nowhere.json", *options]) == 2

@@ -110,7 +110,7 @@ class Recording(Feature):
             from server.recording.recorder import Recorder
 
             check_path(settings.file)
-            self.recorder = Recorder(graph, settings.file, settings, {"robot": context.planning.robot.name}, clock)
+            self.recorder = Recorder(graph, settings.file, settings, clock)
         self._looking = BackgroundTask("episodes", EpisodeServices(graph, self._records, clock).run)
 
     async def open_file(self) -> None:

@@ -21,9 +21,6 @@ log = logging.getLogger("armbridge.recording")
 # Messages that are not yet in a chunk are lost with the process; larger chunks would compress better.
 CHUNK_BYTES = 524_288
 
-# Name of the metadata record (MCAP specification, "Metadata") with the server's own facts.
-METADATA_NAME = "armbridge"
-
 # A file numbers its channels with 16 bits (MCAP specification, "Channel"); with more the next file begins.
 MAX_CHANNELS = 65_535
 
@@ -83,12 +80,9 @@ class RecordingSeries:
     Each is an MCAP file with the profile ``ros2`` and a channel for each topic and type.
     """
 
-    def __init__(
-        self, path: Path, registry: Registry, facts: dict[str, str], limit_bytes: int | None = None, keep: int = 0
-    ) -> None:
+    def __init__(self, path: Path, registry: Registry, limit_bytes: int | None = None, keep: int = 0) -> None:
         self._path = path
         self._registry = registry
-        self._facts = facts
         self._limit_bytes = limit_bytes
         self._keep = keep
         self._number = 0
@@ -105,7 +99,7 @@ class RecordingSeries:
         # Without the chunk that is not complete yet.
         full = self._limit_bytes is not None and self._stream.tell() >= self._limit_bytes
         if full or len(self._channels) >= MAX_CHANNELS:
-            self.end({})
+            self.end()
             self._begin()
             for latched in self._latched.values():
                 self._write(latched._replace(log_time_ns=message.log_time_ns))
@@ -121,10 +115,7 @@ class RecordingSeries:
         """End the current chunk, so that it outlives this process."""
         self._writer.flush()
 
-    def end(self, facts: dict[str, str]) -> None:
-        self._writer.flush()
-        if facts:
-            self._writer.add_metadata(METADATA_NAME, facts)
+    def end(self) -> None:
         self._writer.finish()
         self._stream.close()
 
@@ -158,11 +149,9 @@ class RecordingSeries:
         self._schemas: dict[str, int] = {}
         # By topic and type: the channel's id and its number of messages.
         self._channels: dict[tuple[str, str], list[int]] = {}
-        version = metadata.version("armbridge")
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         try:
-            self._writer.start(profile="ros2", library=f"armbridge {version}")
-            self._writer.add_metadata(METADATA_NAME, {"version": version, **self._facts})
+            self._writer.start(profile="ros2", library=f"armbridge {metadata.version('armbridge')}")
             # Readers recognize the file from here on, and a full disk has raised its error.
             self._writer.flush()
         except OSError:

@@ -55,7 +55,6 @@ class Recorder:
         graph: Graph,
         path: Path,
         settings: RecordingSettings,
-        facts: dict[str, str] | None = None,
         clock: Callable[[], float] | None = None,
     ) -> None:
         """Take messages; the clock gives seconds since the epoch that never go back, None for the machine's."""
@@ -63,7 +62,6 @@ class Recorder:
         self._registry = graph.message_types.registry
         self._path = path
         self._settings = settings
-        self._facts = facts or {}
         self._clock = clock
         # The machine's clock, when it is set during a recording, would tear a gap into it.
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
@@ -83,7 +81,7 @@ class Recorder:
         """Open the file, and write to it from now on."""
         limit_bytes = None if self._settings.limit_mb is None else self._settings.limit_mb * BYTES_PER_MB
         try:
-            files = RecordingSeries(self._path, self._registry, self._facts, limit_bytes, self._settings.keep_files)
+            files = RecordingSeries(self._path, self._registry, limit_bytes, self._settings.keep_files)
         except OSError as error:
             raise StartError(f"recording.file: {self._path} cannot be written: {error.strerror or error}") from error
         self._thread = threading.Thread(target=self._write, args=(files,), name="recording", daemon=True)
@@ -131,7 +129,7 @@ class Recorder:
     def _write(self, files: RecordingSeries) -> None:
         try:
             self._write_until_stopped(files)
-            files.end({"dropped_messages": str(self.dropped)})
+            files.end()
         except OSError as error:
             files.abandon()
             log.error(  # noqa: TRY400 - what matters is the sentence

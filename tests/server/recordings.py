@@ -38,10 +38,10 @@ def text(number: int, topic: str = "/t") -> RecordedMessage:
 def record(path: Path, entries: Iterable[RecordedMessage], registry: Registry = REGISTRY) -> Path:
     """Write a whole recording in place of what is there."""
     path.unlink(missing_ok=True)
-    files = RecordingSeries(path, registry, {})
+    files = RecordingSeries(path, registry)
     for each in entries:
         files.add(each)
-    files.end({})
+    files.end()
     return path
 
 
@@ -53,7 +53,7 @@ def recorded_messages(path: Path) -> list[RecordedMessage]:
 def record_killed(path: Path, chunks: Iterable[Iterable[RecordedMessage]]) -> Path:
     """Write a recording, in these chunks, of a process that ends without ending it."""
     path.unlink(missing_ok=True)
-    files = RecordingSeries(path, REGISTRY, {})
+    files = RecordingSeries(path, REGISTRY)
     for chunk in chunks:
         for each in chunk:
             files.add(each)

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from server.errors import ConfigurationError
 from server.recording import files
-from server.recording.files import METADATA_NAME, QOS_KEY, RecordingSeries, check_path, is_latched
+from server.recording.files import QOS_KEY, RecordingSeries, check_path, is_latched
 from tests.server.recordings import REGISTRY, START_NS, entry, record, recorded_messages, text
 
 # One file: what is written is read by the MCAP project's own reader for ROS 2.
@@ -69,18 +69,11 @@ def test_a_foreign_reader_understands_the_schema_of_every_type(tmp_path: Path) -
     assert [one.schema.name for one in foreign(path)] == names
 
 
-def test_facts_are_kept_as_metadata(tmp_path: Path) -> None:
-    RecordingSeries(tmp_path / "run.mcap", REGISTRY, {"robot": "so101"}).end({"dropped_messages": "3"})
-    with (tmp_path / "run.mcap").open("rb") as stream:
-        first, last = (each.metadata for each in make_reader(stream).iter_metadata() if each.name == METADATA_NAME)
-    assert (first["robot"], last["dropped_messages"]) == ("so101", "3")
-
-
 # A series of files.
 
 
 def series(path: Path, limit: int | None = 20_000, keep: int = 0) -> RecordingSeries:
-    return RecordingSeries(path, REGISTRY, {}, limit, keep)
+    return RecordingSeries(path, REGISTRY, limit, keep)
 
 
 def fill(written: RecordingSeries, count: int) -> None:
@@ -89,7 +82,7 @@ def fill(written: RecordingSeries, count: int) -> None:
         octets = base64.b64encode(random.Random(number).randbytes(10_000)).decode()
         written.add(entry("/picture", "sensor_msgs/CompressedImage", {"format": "", "data": octets}, number))
         written.flush()
-    written.end({})
+    written.end()
 
 
 def topics(path: Path) -> list[str]:

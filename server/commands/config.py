@@ -1,7 +1,6 @@
 """Commands about the installation: ``armbridge config`` shows the settings, ``systemd-unit`` a unit of the server."""
 
 import argparse
-import json
 import re
 import sys
 from collections.abc import Iterator
@@ -11,7 +10,7 @@ from typing import Any
 from server.commands.options import Subparsers, add_command, add_setting_options, read_settings
 from server.commands.terminal import ExitCode, Terminal, table
 from server.config import Settings
-from server.config_keys import Setting, every_setting, template, toml_value
+from server.config_keys import every_setting, template, toml_value
 
 
 def add_config_parser(subparsers: Subparsers) -> None:
@@ -23,9 +22,7 @@ def add_config_parser(subparsers: Subparsers) -> None:
         "Print the settings that armbridge serve would have with the same options and environment, and "
         "who has set each: default, file, environment or command line.",
     )
-    form = parser.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="print them as a JSON object, by key")
-    form.add_argument(
+    parser.add_argument(
         "--template", action="store_true", help="print a TOML file with every setting explained, at its default"
     )
     add_setting_options(parser)
@@ -35,31 +32,18 @@ def _config(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     if options.template:
         terminal.tell(template(Settings).rstrip("\n"))
         return ExitCode.DONE
-    settings, sources = read_settings(options)
-    values = list(_effective(settings, sources))
-    terminal.tell(_as_json(values) if options.json else _as_table(values))
+    terminal.tell(table(("setting", "value", "unit", "source"), list(_rows(*read_settings(options)))))
     return ExitCode.DONE
 
 
-def _effective(settings: Settings, sources: dict[str, str]) -> Iterator[tuple[Setting, Any, str]]:
+def _rows(settings: Settings, sources: dict[str, str]) -> Iterator[tuple[str, str, str, str]]:
     dumped = settings.model_dump(mode="json")
     for setting in every_setting(Settings):
         value: Any = dumped
         for part in setting.key.split("."):
             value = value[part]
-        yield setting, value, sources.get(setting.key, "default")
-
-
-def _as_json(values: list[tuple[Setting, Any, str]]) -> str:
-    return json.dumps({setting.key: {"value": value, "source": source} for setting, value, source in values}, indent=2)
-
-
-def _as_table(values: list[tuple[Setting, Any, str]]) -> str:
-    rows = [
-        (setting.key, "-" if value is None else toml_value(value), setting.unit, source)
-        for setting, value, source in values
-    ]
-    return table(("setting", "value", "unit", "source"), rows)
+        shown = "-" if value is None else toml_value(value)
+        yield setting.key, shown, setting.unit, sources.get(setting.key, "default")
 
 
 # The arm process brakes, relaxes if it is to, and ends within 5.5 s of the server's death; to park the arm takes up to

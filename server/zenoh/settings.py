@@ -52,8 +52,6 @@ class ZenohSettings(SettingsSection):
     """endpoints to connect to, as in tcp/192.168.1.2:7447; retried until they answer."""
     listen: tuple[str, ...] = Field(default=(), max_length=MAX_ENTRIES)
     """endpoints to listen on; empty for none."""
-    scouting_multicast: bool = False
-    """find peers in the local network by multicast."""
     config_file: Path | None = None
     """JSON5 file of zenoh's own options, such as certificates; the settings above override it; None for zenoh's
     defaults."""
@@ -84,7 +82,7 @@ class ZenohSettings(SettingsSection):
 
     @model_validator(mode="after")
     def _a_client_connects(self) -> ZenohSettings:
-        if self.mode == "client" and not (self.connect or self.scouting_multicast or self.config_file):
+        if self.mode == "client" and not (self.connect or self.config_file):
             raise ValueError("mode client needs connect: the endpoint of its router, as in tcp/192.168.1.2:7447")
         return self
 
@@ -154,12 +152,11 @@ def _values(settings: ZenohSettings, config: zenoh.Config, default: zenoh.Config
     # The cache of a latched topic orders messages by their timestamps.
     values: dict[str, Any] = {"mode": settings.mode, "timestamping/enabled": True}
     if settings.config_file is None:
+        values["scouting/multicast/enabled"] = False
         values["transport/link/tx/queue/congestion_control/block/wait_before_close"] = WAIT_BEFORE_CLOSE_US
     if settings.connect:
         values["connect/endpoints"] = settings.connect
     # By default zenoh listens on every address of the machine.
     if settings.listen or config.get_json("listen/endpoints") == default.get_json("listen/endpoints"):
         values["listen/endpoints"] = settings.listen
-    if settings.scouting_multicast or settings.config_file is None:
-        values["scouting/multicast/enabled"] = settings.scouting_multicast
     return values

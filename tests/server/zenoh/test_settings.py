@@ -55,18 +55,17 @@ def value(settings: ZenohSettings, path: str) -> Any:
 
 def test_the_settings_and_a_file_of_zenoh_become_its_configuration(tmp_path: Path) -> None:
     told: dict[str, Any] = {"connect": ("tcp/127.0.0.1:7447",), "listen": ("tcp/127.0.0.1:7448",)}
-    settings = ZenohSettings(mode="router", scouting_multicast=True, **told)
+    settings = ZenohSettings(mode="router", **told)
     assert value(settings, "mode") == "router"
     for name, endpoints in told.items():
         assert value(settings, f"{name}/endpoints") == list(endpoints)
-    assert value(settings, "scouting/multicast/enabled") is True
     # Nothing of it happens unless it is set.
     assert value(ZenohSettings(mode="peer"), "listen/endpoints") == []
     assert value(ZenohSettings(mode="peer"), "scouting/multicast/enabled") is False
-    text = '{ /* ours */ connect: { endpoints: ["tls/router:7447"] }, queries_default_timeout: 1234, }'
+    text = '{ /* ours */ connect: { endpoints: ["tls/router:7447"] }, scouting: { multicast: { enabled: true } }, }'
     settings = with_file(tmp_path, text)
     assert value(settings, "connect/endpoints") == ["tls/router:7447"]
-    assert value(settings, "queries_default_timeout") == 1234
+    assert value(settings, "scouting/multicast/enabled") is True
     assert value(settings, "listen/endpoints") == []
     listening = with_file(tmp_path, '{ listen: { endpoints: ["tcp/127.0.0.1:7449"] } }')
     assert value(listening, "listen/endpoints") == ["tcp/127.0.0.1:7449"]

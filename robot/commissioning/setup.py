@@ -246,8 +246,8 @@ def check_model(servo: ServoRegisters, joint: ServoSpec) -> None:
     if model not in MODELS.values() and str(model) != joint.model:
         known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
         raise StartupError(
-            f"servo {servo.servo_id} is model {model}, not one of {known}: its registers may have other meanings; "
-            "--any-model writes to it all the same"
+            f"servo {servo.servo_id} is model {model}, not one of {known}: if it is a clone with their registers, "
+            f'write model = "{model}" for it into the robot.toml of the arm'
         )
 
 

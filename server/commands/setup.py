@@ -73,7 +73,6 @@ def add_setup_parser(subparsers: Subparsers) -> None:
     )
     task.add_argument("--restore", type=Path, metavar="FILE", help="write the registers of a backup back to the servos")
     add("--backup", type=Path, metavar="FILE", help="save the registers from before here (a file named by the time)")
-    add("--any-model", action="store_true", help="write to servos of an unknown model too")
     add("--yes", action="store_true", help="do not ask before writing")
 
 
@@ -218,8 +217,7 @@ class _Visit:
         return self.own_profile or nearest_profile((servo.registers, joint.gripper) for joint, servo in servos)
 
     def _work(self, joint: ServoSpec, servo: ServoRegisters, profile: ServoProfile) -> _Work:
-        if not self.options.any_model:
-            check_model(servo, joint)
+        check_model(servo, joint)
         return _Work(joint.joint, servo, changes_for(servo, joint, profile))
 
     def _carry_out(self, work: Sequence[_Work]) -> None:

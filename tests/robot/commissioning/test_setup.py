@@ -113,8 +113,9 @@ def test_an_unknown_model_is_refused_with_the_way_round_and_a_supply_that_the_se
     servo = find(kit, GRIPPER)
     setup.check_model(servo, GRIPPER)
     unknown = replace(servo, registers={**servo.registers, Register.MODEL_NUMBER: 1234})
-    with pytest.raises(StartupError, match=r"model 1234.*--any-model"):
+    with pytest.raises(StartupError, match=r'model 1234.* write model = "1234" for it'):
         setup.check_model(unknown, GRIPPER)
+    setup.check_model(unknown, replace(GRIPPER, model="1234"))
     for supply_v, words in ((5.0, ""), (12.1, "burn out"), (3.5, "too weak")):
         kit.emulator.command(supply=supply_v)
         complaint = setup.supply_complaint(find(kit, GRIPPER))

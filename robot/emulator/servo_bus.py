@@ -30,7 +30,7 @@ from scservo_sdk import (
 )
 
 from robot.emulator.servo import EmulatedServo
-from robot.hardware.port import BITS_PER_BYTE, wire_time_s
+from robot.hardware.port import wire_time_s
 
 _NAMES: Mapping[int, str] = MappingProxyType(
     {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}
@@ -140,9 +140,6 @@ BAUDRATE = 1_000_000
 
 # Time after which an incomplete packet counts as cut off; it is dropped so that it does not swallow the next one.
 PARTIAL_PACKET_S = 0.005
-
-# A byte on the wire is a start bit, which is low, eight bits and a stop bit; all but the last one inverted.
-_INVERTED = 0x1FF
 
 TURNAROUND_S = 20e-6  # time from the end of the packet before to the start of a reply
 
@@ -380,10 +377,9 @@ class EmulatedBus(Generic[S]):
         start_s = self._wire_free_s + (TURNAROUND_S + servo.return_delay_s if self._wire_time else 0.0)
         sent_id = answers[0].servo_id
         servo_id = self.faults.id_of_reply(servo.servo_id if sent_id is None else sent_id)
-        packets = [
-            _status_packet(self._codec, servo_id, answer.servo.error | answer.error, answer.data) for answer in answers
-        ]
-        packet = packets[0] if len(packets) == 1 else superimposed(packets)
+        packet = _status_packet(self._codec, servo_id, servo.error | answers[0].error, answers[0].data)
+        if len(answers) > 1:
+            packet = self.faults.random.randbytes(len(packet))
         arriving = self.faults.apply(packet)
         self._wire_free_s = start_s + max(len(packet), len(arriving)) * byte_s
         held_up_s = self.faults.delay_s if self.faults.happens(self.faults.delay) else 0.0
@@ -398,25 +394,6 @@ class EmulatedBus(Generic[S]):
 def _status_packet(codec: Codec, servo_id: int, error: int, data: bytes) -> bytes:
     """Return a packet; an arm at rest sends the same ones in each cycle, which takes 8 % of the emulated arm's time."""
     return codec.status_packet(servo_id, error, data)
-
-
-def superimposed(packets: Sequence[bytes]) -> bytes:
-    """Return the bytes that a host receives of packets that several servos send at once.
-
-    No two servos begin at the same instant: each one is a bit behind the one before. The line is low while any of them
-    pulls it down, and the host takes eight bits behind each start bit.
-    """
-    # 1 for each bit time in which the line is low, the first in the lowest bit.
-    low = 0
-    for delay, packet in enumerate(packets):
-        for at, byte in enumerate(packet):
-            low |= (byte << 1 ^ _INVERTED) << (delay + at * BITS_PER_BYTE)
-    received = bytearray()
-    while low:
-        low >>= (low & -low).bit_length()
-        received.append(low & 0xFF ^ 0xFF)
-        low >>= BITS_PER_BYTE - 1
-    return bytes(received)
 
 
 def _write(servo: EmulatedServo[Any], address: int, data: bytes, written: Written) -> int:

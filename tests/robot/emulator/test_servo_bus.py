@@ -19,7 +19,6 @@ from robot.emulator.servo_bus import (
     Instruction,
     InstructionParser,
     WriteLog,
-    superimposed,
 )
 from robot.hardware.feetech.bus import parse_status_frames
 from robot.hardware.feetech.registers import Register
@@ -338,9 +337,6 @@ def test_a_reply_that_is_struck_is_never_taken_for_a_good_one_but_a_doubled_and_
     noisy = arrived(faults(noise=1.0))
     assert noisy.endswith(SENT)
     assert len(noisy) > len(SENT)
-    # Packets sent at once are heard as none of them.
-    assert superimposed([SENT]) == SENT
-    assert SENT not in superimposed([SENT, SENT]) != b""
 
 
 def test_a_line_has_the_write_by_its_whole_registers_and_the_state_of_every_servo(tmp_path):

@@ -9,7 +9,7 @@ is cleared goes on to its old goal.
 import math
 from collections.abc import Callable, Iterable, Mapping
 
-from dynamixel_sdk import INST_PING, INST_READ, INST_REBOOT, INST_STATUS, INST_SYNC_READ
+from dynamixel_sdk import INST_REBOOT, INST_STATUS
 
 from robot.calibration import TICKS_PER_TURN, JointCalibration
 from robot.description.limits import JointBounds
@@ -86,11 +86,6 @@ _RAM = tuple(
     if register.area is not Area.EEPROM and register not in (Register.MODEL_NUMBER, Register.FIRMWARE_VERSION)
 )
 
-# Register STATUS_RETURN_LEVEL after power-up, and from which value on a servo answers these instructions; a ping it
-# always answers.
-ANSWERS_ALL = 2
-_ANSWERED_FROM: Mapping[int, int] = {INST_PING: 0, INST_READ: 1, INST_SYNC_READ: 1}
-
 MOST_EXTENDED_TICKS = 1_048_575  # furthest goal of the modes that count turns
 STIFFNESS = 32  # gain of :class:`robot.emulator.plant.Plant` with which a servo follows with a lag of 20 ms
 UNLIMITED_TICKS_S2 = 1e7  # an acceleration of 0 is unlimited
@@ -156,7 +151,6 @@ class DynamixelServo(EmulatedServo[Register]):
         """Start as after a power cut: EEPROM as it was, RAM as after power-up, torque off, the count of turns lost."""
         for register in _RAM:
             self.memory.set(register, 0)
-        self.memory.set(Register.STATUS_RETURN_LEVEL, ANSWERS_ALL)
         self._reset_limits()
         self.kept_write = None
         self._heard_s = self._starts_in_s = 0.0
@@ -200,9 +194,6 @@ class DynamixelServo(EmulatedServo[Register]):
     @property
     def listens(self) -> bool:
         return self.connected and self._starts_in_s <= 0.0
-
-    def acknowledges(self, code: int) -> bool:
-        return self.value(Register.STATUS_RETURN_LEVEL) >= _ANSWERED_FROM.get(code, ANSWERS_ALL)
 
     def ping(self) -> bytes:
         return self.memory.read(Register.MODEL_NUMBER, 2) + self.memory.read(Register.FIRMWARE_VERSION, 1)

@@ -164,9 +164,9 @@ class EmulatedServo(ABC, Generic[RegisterT]):
     def present_ticks(self) -> int:
         """Register PRESENT_POSITION."""
 
-    @abstractmethod
-    def acknowledges(self, code: int) -> bool:
+    def acknowledges(self, code: int) -> bool:  # noqa: ARG002 - a servo may be set to answer fewer instructions
         """Return True if it replies to an instruction of this code."""
+        return True
 
     @abstractmethod
     def maintain(self, code: int) -> bool:

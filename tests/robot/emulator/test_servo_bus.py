@@ -251,10 +251,6 @@ def test_a_servo_answers_no_more_than_its_response_level_allows_and_to_nonsense_
     assert feetechs.ask(2, READ, FEETECH.block("ID")) == feetechs.status(2, b"\x02")
     assert feetechs.ask(2, WRITE, FEETECH.assignment("TORQUE_LIMIT", 100)) == b""
     assert feetechs.ask(ALL, SYNC_READ, FEETECH.block("ID") + b"\x02") == feetechs.status(2, b"\x02")
-    for level, answers in ((1, [False, True, True]), (0, [False, False, True])):
-        dynamixels.ask(2, WRITE, DYNAMIXEL.assignment("STATUS_RETURN_LEVEL", level))
-        asked = ((WRITE, DYNAMIXEL.assignment("LED", 1)), (READ, DYNAMIXEL.block("LED")), (PING, b""))
-        assert [dynamixels.ask(2, *each) != b"" for each in asked] == answers
 
 
 def test_a_reset_is_acknowledged_and_changes_nothing(feetechs):

@@ -15,7 +15,6 @@ import io
 import os
 import select
 import termios
-import time
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -29,7 +28,6 @@ BITS_PER_BYTE = 10  # start bit, eight data bits and stop bit
 # A sync write of 56 bytes takes 0.6 ms; an adapter that has not taken it in 100 ms is gone or stuck.
 WRITE_TIMEOUT_S = 0.1
 
-BLOCKING_READ_S = 0.004  # timeout of a read from a port without a file descriptor
 READ_BYTES = 4096  # more than any burst of replies: six telemetry blocks have 126 bytes
 MAX_CLEARING_READS = 16  # bound on clearing the input of a device that sends faster than it is read
 
@@ -101,7 +99,6 @@ class SerialPort(PortHandler):
         self.latency_s = NETWORK_LATENCY_S if "://" in port_name else LOCAL_LATENCY_S
         self.quiet_s = QUIET_S
         self.discarded_bytes = 0
-        self._descriptor: int | None = None
         self._poll = select.poll()
 
     def setupPort(self, cflag_baud: int) -> bool:  # noqa: N802 - the SDK's hook for opening the device
@@ -113,20 +110,21 @@ class SerialPort(PortHandler):
         # The kernel is not to collect input for 16 ms, as FTDI's driver does; other drivers reject this, and need not.
         with contextlib.suppress(ValueError, NotImplementedError, AttributeError):
             line.set_low_latency_mode(True)
-        with contextlib.suppress(io.UnsupportedOperation):
-            self._descriptor = line.fileno()
-            self._poll.register(self._descriptor, select.POLLIN)
-            if os.path.realpath(self.port_name).startswith(PSEUDO_TERMINALS):
-                self.latency_s, self.quiet_s = TERMINAL_LATENCY_S, TERMINAL_QUIET_S
-            else:
-                _claim(self._descriptor)
+        try:
+            descriptor = line.fileno()
+        except io.UnsupportedOperation as error:
+            self.closePort()
+            raise PortError(self.port_name, "has no file descriptor: of URLs, give socket://host:port") from error
+        self._poll = select.poll()
+        self._poll.register(descriptor, select.POLLIN)
+        if os.path.realpath(self.port_name).startswith(PSEUDO_TERMINALS):
+            self.latency_s, self.quiet_s = TERMINAL_LATENCY_S, TERMINAL_QUIET_S
+        else:
+            _claim(descriptor)
         return True
 
     def closePort(self) -> None:  # noqa: N802 - the SDK's name
         self.is_open = False
-        if self._descriptor is not None:
-            self._poll.unregister(self._descriptor)
-            self._descriptor = None
         if self.ser is not None:
             with contextlib.suppress(OSError, termios.error):
                 self.ser.close()
@@ -140,23 +138,22 @@ class SerialPort(PortHandler):
             self.discarded_bytes += len(stale)
 
     def writePort(self, packet: Sequence[int]) -> int:  # noqa: N802 - the SDK calls this to write
-        data = bytes(packet)
+        data, line = bytes(packet), self._open_line()
         try:
-            written = self._write_at_once(data)
+            written = _write_at_once(line.fileno(), data)
             if written < len(data):
                 # pyserial waits until the device takes more, for WRITE_TIMEOUT_S at most.
-                written += self._open_line().write(data[written:]) or 0
+                written += line.write(data[written:]) or 0
         except DEVICE_ERRORS as error:
             raise PortLost(self.port_name, str(error)) from error
         return written
 
     def receive(self, timeout_s: float) -> bytes:
+        line = self._open_line()
         try:
-            if self._descriptor is None:
-                return self._receive_blocking(timeout_s)
             if not self._poll.poll(timeout_s * 1000.0):
                 return b""
-            data = os.read(self._descriptor, READ_BYTES)
+            data = os.read(line.fileno(), READ_BYTES)
         except BlockingIOError:
             return b""
         except DEVICE_ERRORS as error:
@@ -165,36 +162,22 @@ class SerialPort(PortHandler):
             raise PortLost(self.port_name, "the other end closed it")
         return data
 
-    def _write_at_once(self, data: bytes) -> int:
-        if self._descriptor is None:
-            return 0
-        try:
-            return os.write(self._descriptor, data)
-        except BlockingIOError:
-            return 0
-
-    def _receive_blocking(self, timeout_s: float) -> bytes:
-        line = self._open_line()
-        deadline = time.monotonic() + timeout_s
-        while True:
-            if waiting := line.in_waiting:
-                return line.read(waiting)
-            if time.monotonic() >= deadline:
-                return b""
-            if first := line.read(1):
-                return first
-
     def _open_line(self) -> serial.Serial:
         if self.ser is None:
             raise PortLost(self.port_name, "it is not open")
         return self.ser
 
 
+def _write_at_once(descriptor: int, data: bytes) -> int:
+    try:
+        return os.write(descriptor, data)
+    except BlockingIOError:
+        return 0
+
+
 def _open_line(port: str, baudrate: int) -> serial.Serial:
     try:
-        return serial.serial_for_url(
-            port, baudrate=baudrate, timeout=BLOCKING_READ_S, write_timeout=WRITE_TIMEOUT_S, exclusive=True
-        )
+        return serial.serial_for_url(port, baudrate=baudrate, write_timeout=WRITE_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, termios.error) as error:
         raise _refusal(port, getattr(error, "errno", None), str(error)) from error
 

@@ -112,15 +112,9 @@ def test_a_network_port_is_used_like_a_local_one_with_more_patience(line):
         port.closePort()
 
 
-def test_a_port_without_file_descriptor_is_read_with_a_timeout_too():
-    port = open_port("loop://", BAUDRATE)
-    assert port.receive(0.0) == b""
-    port.writePort(b"echo")
-    received = b""
-    while len(received) < 4:
-        received += port.receive(1.0) or pytest.fail("the echo does not come")
-    assert received == b"echo"
-    port.closePort()
+def test_a_port_without_file_descriptor_is_refused():
+    with pytest.raises(PortError, match="port loop:// has no file descriptor: of URLs, give socket://host:port"):
+        open_port("loop://", BAUDRATE)
 
 
 def is_claimed(descriptor):

@@ -5,20 +5,16 @@ import pty
 import time
 import tty
 
-import pytest
-
 from harness.waiting import wait_until
 from robot.hardware.port import open_port
 
 BAUDRATE = 1_000_000
 
 
-@pytest.mark.parametrize("kind", ["pseudo terminal", "loop://"])
-def test_a_silent_line_is_waited_for_no_longer_than_asked(kind: str) -> None:
-    """On a line with a file descriptor and on one without."""
+def test_a_silent_line_is_waited_for_no_longer_than_asked() -> None:
     master, slave = pty.openpty()
     tty.setraw(slave)
-    port = open_port(kind if kind == "loop://" else os.ttyname(slave), BAUDRATE)
+    port = open_port(os.ttyname(slave), BAUDRATE)
 
     def wait_s() -> float:
         began_s = time.monotonic()

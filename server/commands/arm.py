@@ -47,7 +47,6 @@ from server.commands.options import (
     websocket_url,
 )
 from server.commands.terminal import ExitCode, Terminal, table
-from server.errors import ConfigurationError
 
 FAMILIES: Mapping[str, type[ServoFamily]] = {"feetech": Feetech, "dynamixel": Dynamixel}
 
@@ -109,7 +108,7 @@ def _row(servo: ServoRegisters, names: Mapping[int, str]) -> list[object]:
 
 
 # Three seconds at 100 Hz: enough for a 99th percentile.
-DEFAULT_CYCLES = 300
+CYCLES = 300
 
 # The highest register that the bus's reads of varying length ever ask for, and as many bytes as it asks at most.
 LONG_READ_ADDRESS = 56
@@ -130,23 +129,20 @@ def add_doctor_parser(subparsers: Subparsers) -> None:
     add_arm(parser)
     add_calibration(parser)
     parser.add_argument("--json", action="store_true", help="print the findings as JSON")
-    parser.add_argument("--cycles", type=int, default=DEFAULT_CYCLES, metavar="N", help=f"measured ({DEFAULT_CYCLES})")
 
 
 def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    if options.cycles < 1:
-        raise ConfigurationError(f"--cycles must be at least 1, not {options.cycles}")
     hardware, name = read_hardware(options), options.calibration
     calibration = None if name is None else load_calibration(name, hardware)
     with contextlib.closing(open_bus(options)) as bus:
-        _, findings = examine_bus(bus, hardware.servos, calibration, options.cycles, terminal)
+        _, findings = examine_bus(bus, hardware.servos, calibration, terminal)
     terminal.tell(as_json(findings) if options.json else _as_text(findings))
     problems = any(finding.verdict is Verdict.PROBLEM for finding in findings)
     return ExitCode.PROBLEMS if problems else ExitCode.DONE
 
 
 def examine_bus(
-    bus: Bus, servos: Sequence[ServoSpec], calibration: Calibration | None, cycles: int, terminal: Terminal
+    bus: Bus, servos: Sequence[ServoSpec], calibration: Calibration | None, terminal: Terminal
 ) -> tuple[ScanResult, list[Finding]]:
     """Scan the bus, measure it and judge both; nothing is written."""
     terminal.say("looking at the servos ...")
@@ -154,8 +150,8 @@ def examine_bus(
     findings = judge_scan(result, servos, calibration)
     present = tuple(servo.servo_id for servo in result.servos)
     if present:
-        terminal.say(f"measuring {cycles} cycles at 100 Hz ...")
-        findings += judge_cycles(measure_cycles(bus, present, cycles))
+        terminal.say(f"measuring {CYCLES} cycles at 100 Hz ...")
+        findings += judge_cycles(measure_cycles(bus, present, CYCLES))
         attempts = 5  # a single reply may get lost
         silent = [i for i in present if not measure_reads(bus, i, LONG_READ_ADDRESS, LONG_READ_BYTES, attempts)]
         findings.append(judge_long_reads(LONG_READ_ADDRESS, LONG_READ_BYTES, silent))

@@ -25,9 +25,6 @@ from server.errors import ConfigurationError
 if TYPE_CHECKING:
     from server.monitoring.report import Report
 
-# Measured cycles of the bus: one second.
-CYCLES = 100
-
 
 def add_report_parser(subparsers: Subparsers) -> None:
     parser = add_command(
@@ -141,7 +138,7 @@ def _add_bus(report: Report, settings: Settings, terminal: Terminal) -> None:
     terminal.say(f"reading the servos on {port} ...")
     calibration = description.calibration if description.calibration_file is not None else None
     with contextlib.closing(Bus.open(port)) as bus:
-        result, findings = examine_bus(bus, description.hardware.servos, calibration, CYCLES, terminal)
+        result, findings = examine_bus(bus, description.hardware.servos, calibration, terminal)
         report.add("bus/doctor.json", as_json(findings) + "\n")
         report.add_json("bus/registers.json", {servo: _registers(bus, servo) for servo in sorted(result.ids)})
 

@@ -34,16 +34,16 @@ from robot.messages import GuardLimits
 from server.commands.options import (
     DEFAULT_URL,
     FEETECH_ONLY,
+    WITH_TOKEN,
     Subparsers,
     add_arm,
     add_calibration,
     add_command,
-    add_token_file,
     load_calibration,
     open_bus,
     read_hardware,
-    read_token,
     signals_wait,
+    token_from_environment,
     websocket_url,
 )
 from server.commands.terminal import ExitCode, Terminal, table
@@ -245,15 +245,15 @@ def add_verify_parser(subparsers: Subparsers) -> None:
         _verify,
         "have a running server compare the arm with its model, pose by pose, with you",
         "Ask the server to move the arm slowly to three poses, compare each with the model (on the "
-        "server's page), and measure how far each joint stands from its goal. Nothing moves before you say so.",
+        "server's page), and measure how far each joint stands from its goal. Nothing moves before you say so."
+        + WITH_TOKEN,
     )
     parser.add_argument("--url", type=websocket_url, default=DEFAULT_URL, help=f"of the server ({DEFAULT_URL})")
     parser.add_argument("--arm", default="", metavar="NAME", help="one of several arms of the server, as in left")
-    add_token_file(parser, "access.admin_tokens")
 
 
 def _verify(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.commands.verification_client import verify
 
-    return verify(options.url, read_token(options), terminal, options.arm)
+    return verify(options.url, token_from_environment(), terminal, options.arm)

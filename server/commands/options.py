@@ -39,6 +39,9 @@ DEFAULT_URL = "ws://127.0.0.1:9090"
 # Where a token does not show in the list of processes.
 TOKEN_VARIABLE = "ARMBRIDGE_TOKEN"  # noqa: S105 - the name of a variable
 
+# End of the description of a command that connects to a server.
+WITH_TOKEN = f" A token of the server is read from the environment variable {TOKEN_VARIABLE}."
+
 # End of the description of a command that other servos do not know.
 FEETECH_ONLY = " For Feetech servos only."
 
@@ -86,22 +89,8 @@ def add_connect(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_token_file(parser: argparse.ArgumentParser, tokens: str) -> None:
-    """Describe ``--token-file``, for one of the tokens of a setting."""
-    parser.add_argument(
-        "--token-file",
-        type=Path,
-        metavar="FILE",
-        help=f"file with one of {tokens} and nothing else; else it comes from {TOKEN_VARIABLE}",
-    )
-
-
-def read_token(options: argparse.Namespace) -> str | None:
-    file: Path | None = options.token_file
-    try:
-        return os.environ.get(TOKEN_VARIABLE) if file is None else file.read_text().strip()
-    except (OSError, ValueError) as error:
-        raise ConfigurationError(f"--token-file: {file} cannot be read: {error}") from error
+def token_from_environment() -> str | None:
+    return os.environ.get(TOKEN_VARIABLE)
 
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:

@@ -8,14 +8,14 @@ from typing import Any
 from robot import logs
 from server.commands.options import (
     SERIAL_HELP,
+    WITH_TOKEN,
     Subparsers,
     add_calibration,
     add_command,
     add_connect,
     add_number,
     add_robot,
-    add_token_file,
-    read_token,
+    token_from_environment,
 )
 from server.commands.terminal import ExitCode, Terminal
 from server.errors import ConfigurationError
@@ -37,7 +37,8 @@ def add_camera_parser(subparsers: Subparsers) -> None:
         "publish a camera's images on a running server",
         "Publish the images of a camera as sensor_msgs/CompressedImage on a running server, which records them"
         " like everything else (docs/policies.md). Images that a slow network cannot take are dropped. It connects"
-        " again when the server comes back, and ends with Ctrl+C. Needs armbridge[camera], except for the device test.",
+        " again when the server comes back, and ends with Ctrl+C. Needs armbridge[camera], except for the device test."
+        + WITH_TOKEN,
     )
     parser.add_argument(
         "device",
@@ -50,7 +51,6 @@ def add_camera_parser(subparsers: Subparsers) -> None:
     add_number(parser, "--width", "PIXELS", (MIN_WIDTH, MAX_WIDTH), None, "width to scale images to (the camera's)")
     text = f"of JPEG, 1 to {MAX_QUALITY} ({DEFAULT_QUALITY})"
     add_number(parser, "--quality", "N", (1, MAX_QUALITY), DEFAULT_QUALITY, text)
-    add_token_file(parser, "access.operate_tokens")
 
 
 def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
@@ -59,7 +59,7 @@ def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     from server.lifecycle import run_until_signal
     from server.rosbridge_clients import PublishedTopic
 
-    target = PublishedTopic(options.connect, options.topic, read_token(options))
+    target = PublishedTopic(options.connect, options.topic, token_from_environment())
     source = open_source(options.device, options.width)
     chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
     client = CameraClient(target, chosen, source, terminal.say)
@@ -83,7 +83,8 @@ def add_leader_parser(subparsers: Subparsers) -> None:
         "stream a relaxed arm to a server, whose arm follows it",
         "Read an arm that is moved by hand, and publish its joints on a running server, whose arm follows "
         "them after /teleop/start with this topic as its leader (docs/teleoperation.md). The arm never gets torque. It "
-        "connects again when the server comes back, and ends with Ctrl+C. Without --serial the arm is emulated.",
+        "connects again when the server comes back, and ends with Ctrl+C. Without --serial the arm is emulated."
+        + WITH_TOKEN,
     )
     add_connect(parser)
     parser.add_argument("--serial", metavar="PORT", help=f"{SERIAL_HELP} (an emulated arm)")
@@ -94,7 +95,6 @@ def add_leader_parser(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--emulator-control", type=Path, metavar="PATH", help="Unix socket that takes commands to the emulated servos"
     )
-    add_token_file(parser, "access.operate_tokens")
 
 
 def _leader(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
@@ -102,7 +102,7 @@ def _leader(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     from server.rosbridge_clients import PublishedTopic
     from server.teleop.leader_client import publish_leader
 
-    token = read_token(options)
+    token = token_from_environment()
     given: dict[str, Any] = {
         "serial": options.serial,
         "robot": options.robot,

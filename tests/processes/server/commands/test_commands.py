@@ -207,23 +207,22 @@ def test_without_a_server_servos_are_only_read(armbridge: Run, file: Path, tmp_p
 TOKEN = "only-the-admin-knows-it"
 
 
-def verify(url: str, typed: str, *options: str) -> subprocess.CompletedProcess[str]:
-    return run(sys.executable, "-m", "server.cli", "verify", "--url", url, *options, input=typed)
+def verify(url: str, typed: str) -> subprocess.CompletedProcess[str]:
+    return run(sys.executable, "-m", "server.cli", "verify", "--url", url, input=typed)
 
 
 def test_a_person_at_a_terminal_compares_the_arm_pose_by_pose(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "token"
-    file.write_text(f"{TOKEN}\n")
     with RunningServer("--port 0 --rate 5", {"ARMBRIDGE_ACCESS__TOKEN": TOKEN}) as server:
         without_token = cli.main(["verify", "--url", server.url])
         assert (without_token, capsys.readouterr().err[:11]) == (ExitCode.FAILED, "armbridge: ")
+        monkeypatch.setenv("ARMBRIDGE_TOKEN", TOKEN)
         # Input that ends cancels the procedure.
-        assert verify(server.url, "", "--token-file", str(file)).returncode == ExitCode.FAILED
+        assert verify(server.url, "").returncode == ExitCode.FAILED
         assert server.has_logged("verify ended early: cancelled")
         # Move; yes at three poses; the gripper does not look as the model.
-        answer = verify(server.url, "\ny\ny\ny\nno\ngripper\n", "--token-file", str(file))
+        answer = verify(server.url, "\ny\ny\ny\nno\ngripper\n")
     assert answer.returncode == ExitCode.PROBLEMS, answer.stderr
     assert "deg from its goal" in answer.stderr
     droops_deg = [float(each) for each in re.findall(r"^\w+ +(\d+\.\d)$", answer.stderr, re.MULTILINE)]
@@ -233,10 +232,6 @@ def test_a_person_at_a_terminal_compares_the_arm_pose_by_pose(
     assert "compared in 4 poses" in answer.stdout
 
 
-def test_a_missing_server_and_a_missing_token_file_are_errors(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_a_missing_server_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["verify", "--url", f"ws://127.0.0.1:{free_port()}"]) == ExitCode.FAILED
     assert "is armbridge serve running there?" in capsys.readouterr().err
-    assert cli.main(["verify", "--token-file", str(tmp_path / "none")]) == ExitCode.USAGE
-    assert "cannot be read" in capsys.readouterr().err

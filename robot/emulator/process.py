@@ -254,22 +254,18 @@ LINGER_S = 1.0  # when the controlling process has ended, its arm process may st
 
 STDIN, STDOUT = 0, 1
 
-# Live commands that are options as well: those with a number, and switches, some of them for all servos.
+# Live commands that are options as well: those with a number.
 _NUMBERS = (
     *("drop", "corrupt", "wrong_id", "truncate", "duplicate", "noise", "delay", "delay_s", "lose_instruction"),
     *("supply", "heat_rate", "usb_frame_ms"),
 )
-_SWITCHES = ("stall_behind_missing",)
-_SWITCHES_OF_SERVOS = ("overload_latches", "powers_up_holding")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     for name in _NUMBERS:
         meaning = LiveCommand.model_fields[name].description
-        add(_option(name), type=_number(name), metavar="X", help=meaning)
-    for name in (*_SWITCHES, *_SWITCHES_OF_SERVOS):
-        add(_option(name), action="store_true", help=LiveCommand.model_fields[name].description)
+        add("--" + name.replace("_", "-"), type=_number(name), metavar="X", help=meaning)
     add("--seed", type=int, default=0, metavar="N", help="seed of the random faults (default 0)")
     add(
         "--population",
@@ -335,13 +331,7 @@ def build_bus(
 
 
 def configure(options: argparse.Namespace, emulation: Emulation) -> None:
-    joints = [servo.joint for servo in emulation.bus.servos]
-    values: dict[str, object] = {
-        name: value for name in (*_NUMBERS, *_SWITCHES) if (value := getattr(options, name)) not in (None, False)
-    }
-    values |= {name: joints for name in _SWITCHES_OF_SERVOS if getattr(options, name)}
-    if options.powers_up_holding:
-        values["power_cycle"] = joints
+    values: dict[str, object] = {name: value for name in _NUMBERS if (value := getattr(options, name)) is not None}
     carry_out(check(LiveCommand, values, emulation.bus.servos), values, emulation)
 
 
@@ -427,10 +417,6 @@ def _end_on_signals(*, controlled: bool) -> None:
 def _calibration(options: argparse.Namespace) -> Calibration:
     servos = options.robot.hardware.servos
     return Calibration.load(options.calibration, servos) if options.calibration else Calibration.nominal(servos)
-
-
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
 
 
 def _number(name: str) -> Callable[[str], float]:

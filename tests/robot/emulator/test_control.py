@@ -64,6 +64,8 @@ def test_every_command_is_carried_out_and_acknowledged_and_no_part_of_one_that_i
     command(delay_s=0.1, supply=4.5, heat_rate=7.0, usb_frame_ms=1.0)
     assert (faults.delay_s, adapter.frame_s) == (0.1, 0.001)
     assert {(servo.voltage_v, servo.motor.rate) for servo in emulation.bus.servos} == {(4.5, 7.0)}
+    command(overload_latches=[3])
+    assert [servo.protection.latches for servo in emulation.bus.servos] == [False, False, True, False, False, False]
     before = adapter.port
     assert command(plugged=False) == {"ok": True, "port": before}
     assert adapter.descriptors == []

@@ -283,10 +283,9 @@ class Traffic:
     def counts(self) -> TrafficCounts:
         return _sum([self._ended, *(connection.counts() for connection in self._open)])
 
-    def queued_bytes(self) -> tuple[int, int]:
-        """Return the bytes that wait for all clients, and those for the client with the most."""
-        queued = [connection.queued_bytes for connection in self._open]
-        return sum(queued), max(queued, default=0)
+    def queued_bytes(self) -> int:
+        """Return the bytes that wait for all clients."""
+        return sum(connection.queued_bytes for connection in self._open)
 
 
 def _sum(counts: list[TrafficCounts]) -> TrafficCounts:

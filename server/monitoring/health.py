@@ -43,13 +43,6 @@ class Sources:
     started: bool = False
     stopping: bool = False
 
-    def children(self) -> Mapping[str, int]:
-        """Return the process id of every child that runs, by the name of its process."""
-        arms = () if self.arm is None else self.arm.pids
-        planners = () if self.planners is None else self.planners.pids
-        pids = {"arm" if len(arms) == 1 else f"arm_{number}": pid for number, pid in enumerate(arms, 1)}
-        return pids | {f"planner_{number}": pid for number, pid in enumerate(planners, 1)}
-
 
 @dataclass(frozen=True)
 class Health:

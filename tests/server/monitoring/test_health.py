@@ -85,13 +85,6 @@ def test_the_answer_over_http_has_the_status_for_monitors_and_no_device_file_or_
     assert b"SECRET" not in check_health(sources).response(good=False).body
 
 
-def test_children_are_those_that_run() -> None:
-    assert Sources().children() == {}
-    for pids, arms in (((11,), {"arm": 11}), ((), {}), ((11, 12), {"arm_1": 11, "arm_2": 12})):
-        sources = Sources(arm=WatchedArm(arm_state(), pids=pids), planners=WatchedPlanners(pids=(21, 22)))
-        assert sources.children() == {**arms, "planner_1": 21, "planner_2": 22}
-
-
 TOKEN = "one-0123456789abcdef"
 LONGER = f"{TOKEN}-and-more"
 QUOTED = 'quoted"and\\0123456789'

@@ -42,10 +42,6 @@ EVERY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 - compared with, not bound
 # Bytes of struct tcp_info (linux/tcp.h), and its member tcpi_unacked.
 TCP_INFO_BYTES, TCPI_UNACKED_AT = 104, 24
 
-CERTIFICATE, KEY = "server.tls_certificate", "server.tls_key"
-
-_LOCKED = "the key has a passphrase, which nobody can enter; `openssl pkey -in KEY -out NEW` takes it off"
-
 
 class Tls:
     """A certificate with its key; ``context`` stays the same, each handshake gets the certificate read last.
@@ -80,7 +76,7 @@ class Tls:
         self._log.write(log, logging.WARNING, line, "plain text")
 
     def _read(self) -> ssl.SSLContext:
-        for setting, file in ((CERTIFICATE, self._certificate), (KEY, self._key)):
+        for setting, file in (("server.tls_certificate", self._certificate), ("server.tls_key", self._key)):
             try:
                 file.open("rb").close()
             except OSError as error:
@@ -88,27 +84,15 @@ class Tls:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         context.set_alpn_protocols(["http/1.1"])
-        asked: list[bool] = []
-
-        def passphrase() -> str:
-            asked.append(True)
-            return ""
-
         try:
-            context.load_cert_chain(self._certificate, self._key, passphrase)
-        except (ssl.SSLError, OSError, ValueError) as error:
-            raise ConfigurationError(self._reason(error, asked_for_passphrase=bool(asked))) from error
+            # Without an empty passphrase OpenSSL would ask for one at the terminal.
+            context.load_cert_chain(self._certificate, self._key, "")
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(
+                f"server.tls_key: {self._key} and the certificate in {self._certificate} cannot be used ({error}): they"
+                " must be PEM, the key of this certificate, and without a passphrase"
+            ) from error
         return context
-
-    def _reason(self, error: Exception, *, asked_for_passphrase: bool) -> str:
-        if asked_for_passphrase:
-            return f"{KEY}: {self._key}: {_LOCKED}"
-        if isinstance(error, ssl.SSLError) and error.reason == "KEY_VALUES_MISMATCH":
-            return f"{KEY}: {self._key} is not the key of the certificate in {self._certificate} ({CERTIFICATE})"
-        for setting, file, kind in ((CERTIFICATE, self._certificate, "CERTIFICATE"), (KEY, self._key, "PRIVATE KEY")):
-            if f"{kind}-----" not in file.read_text(errors="replace"):
-                return f"{setting}: {file} has no {kind} in PEM format"
-        return f"{CERTIFICATE} {self._certificate} and {KEY} {self._key} cannot be used: {error}"
 
 
 def _handshakes(on_plain_text: Callable[[], None]) -> type[ssl.SSLObject]:

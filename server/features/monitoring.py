@@ -76,7 +76,6 @@ class Monitoring(BackgroundTask):
     ) -> None:
         self._sources = Sources(
             traffic=clients.listener.traffic,
-            refused_connections=clients.listener.refused_connections,
             goal_counters=context.goals.counters,
             queue=context.goals.queue,
             arm=context.whole.arm,

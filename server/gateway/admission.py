@@ -15,7 +15,7 @@ import re
 import socket
 import struct
 import time
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -107,7 +107,6 @@ class ConnectionLimiter:
     """Counter of connections."""
 
     def __init__(self, settings: ServerSettings) -> None:
-        self.rejected_count = 0
         self.open_count = 0
         self._settings = settings
         self._max_clients = settings.max_clients
@@ -137,7 +136,6 @@ class ConnectionLimiter:
             known.open_count += 1
             self.open_count += 1
             return ConnectionSlot(None, lambda: self._leave(key, known))
-        self.rejected_count += 1
         if not known.open_count:
             self._remember(key, known)
         if not self._answers.take(now_s):
@@ -307,8 +305,6 @@ class AdmissionPolicy:
         self._own_names = own_names()
         self._allowed_hosts = settings.allowed_hosts
         self._may_connect = partial(may_connect, allowed=settings.allowed_origins, classroom_ports=classroom_ports)
-        # Numbers of refused requests, by reason: host, origin, token, tokens (too many wrong ones).
-        self.refusals: Counter[str] = Counter()
         self._log = LogLimiter()
 
     def check(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
@@ -363,7 +359,7 @@ class AdmissionPolicy:
             return _unauthorized(f"one token is wanted, not {len(presented)}")
         wait = self.auth_throttle.refusal(request.address)
         if wait is not None:
-            self._count_refusal("tokens", request.address, f"{request.address}: {wait}")
+            self._log_refusal("tokens", request.address, f"{request.address}: {wait}")
             retry = {"Retry-After": str(math.ceil(self.auth_throttle.wait_s(request.address)))}
             return HttpResponse.of_text(HTTPStatus.TOO_MANY_REQUESTS, wait, retry)
         token = presented.pop()
@@ -373,16 +369,15 @@ class AdmissionPolicy:
             owner = self._one_time_tokens.reader(token)
         if owner is None:
             self.auth_throttle.record_failure(request.address, token)
-            self._count_refusal("token", request.address, f"{request.address} has shown a token that is nobody's")
+            self._log_refusal("token", request.address, f"{request.address} has shown a token that is nobody's")
             return _unauthorized("this token is nobody's")
         return owner
 
     def _refuse(self, status: HTTPStatus, kind: str, value: str, sentence: str) -> HttpResponse:
-        self._count_refusal(kind, value, sentence)
+        self._log_refusal(kind, value, sentence)
         return HttpResponse.of_text(status, sentence)
 
-    def _count_refusal(self, kind: str, value: str, sentence: str) -> None:
-        self.refusals[kind] += 1
+    def _log_refusal(self, kind: str, value: str, sentence: str) -> None:
         self._log.write(log, logging.WARNING, f"refused: {sentence}", (kind, value))
 
 

@@ -63,7 +63,6 @@ class TrafficCounts(NamedTuple):
     sent_messages: int = 0
     sent_bytes: int = 0
     dropped_messages: int = 0
-    refused_operations: int = 0
 
 
 class Connection:
@@ -113,7 +112,6 @@ class Connection:
             sent_messages=transport.sent_messages,
             sent_bytes=transport.sent_bytes,
             dropped_messages=client.session.dropped,
-            refused_operations=client.status.refused,
         )
 
     async def run(self) -> None:

@@ -12,7 +12,7 @@ import socket
 import ssl
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -296,10 +296,6 @@ class Listener:
 
     def _place(self, port: int) -> str:
         return f"[{self._host}]:{port}" if ":" in self._host else f"{self._host}:{port}"
-
-    def refused_connections(self) -> Mapping[str, int]:
-        """Return the numbers of refused connections and requests by reason: ``limit``, and the admission's reasons."""
-        return {**self.admission.refusals, "limit": self._limiter.rejected_count}
 
     async def bind(self) -> None:
         """Take the port; clients that connect now wait until :meth:`open`.

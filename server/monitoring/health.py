@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING
@@ -32,7 +32,6 @@ class Sources:
     """Parts of the server that are monitored; None for those that a server does not have."""
 
     traffic: Traffic | None = None
-    refused_connections: Callable[[], Mapping[str, int]] | None = None
     goal_counters: GoalCounters | None = None
     queue: GoalQueue | None = None
     arm: AnyArm | None = None

@@ -115,7 +115,6 @@ class Metrics(Collector):
         yield GaugeMetricFamily("armbridge_ready", "Whether /readyz answers 200.", int(health.ready))
         parts: tuple[tuple[Any, Callable[[Any], Iterator[Metric]]], ...] = (
             (sources.traffic, client_metrics),
-            (sources.refused_connections, refusal_metrics),
             (sources.zenoh, zenoh_metrics),
             (sources.goal_counters, GoalCounters.collect),
             (sources.queue, queue_metrics),
@@ -169,15 +168,8 @@ def client_metrics(traffic: Traffic) -> Iterator[Metric]:
             "Messages on topics that clients did not get because they read too slowly.",
             counts.dropped_messages,
         ),
-        ("armbridge_refused_operations", "Operations that were not carried out.", counts.refused_operations),
     ):
         yield CounterMetricFamily(name, meaning, value)
-
-
-def refusal_metrics(refused_connections: Callable[[], Mapping[str, int]]) -> Iterator[Metric]:
-    meaning = "Connections and requests that were not let in, by why."
-    refused = refused_connections().items()
-    yield _by_label(CounterMetricFamily, "armbridge_refused_connections", meaning, "reason", refused)
 
 
 def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:

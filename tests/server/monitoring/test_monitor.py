@@ -145,7 +145,7 @@ class Talk:
     queued_bytes = 70
 
     def counts(self) -> TrafficCounts:
-        return TrafficCounts(1, 2, 3, 4, 5, 6)
+        return TrafficCounts(1, 2, 3, 4, 5)
 
 
 def of_two_clients() -> Iterator[Metric]:
@@ -167,16 +167,12 @@ COUNTED: list[tuple[Iterator[Metric], dict[str, float]]] = [
         parts.recording_metrics(WatchedRecorder(dropped=4)),
         {"recording_dropped_messages_total": 4},
     ),
-    (
-        parts.refusal_metrics(lambda: {"origin": 3, "limit": 0}),
-        {"refused_connections_total origin": 3, "refused_connections_total limit": 0},
-    ),
     (parts.zenoh_metrics(WatchedRecorder(dropped=7)), {"zenoh_dropped_messages_total": 7}),
     (
         of_two_clients(),
         {"clients": 2, "clients_queued_bytes": 140, "connections_total": 2}
         | {"received_messages_total": 2, "received_bytes_total": 4, "sent_messages_total": 6, "sent_bytes_total": 8}
-        | {"dropped_messages_total": 10, "refused_operations_total": 12},
+        | {"dropped_messages_total": 10},
     ),
 ]
 OF_ARM: dict[str, float] = {

@@ -70,7 +70,6 @@ def watched_sources() -> Sources:
     """Every part of a server at work."""
     return Sources(
         Traffic(),
-        lambda: {"limit": 0},
         GoalCounters(),
         WatchedQueue(),
         WatchedArm(arm_state()),

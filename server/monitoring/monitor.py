@@ -243,14 +243,13 @@ WATCHDOG_NOTIFICATIONS = 3.0
 
 
 class Monitor:
-    """Monitor of the server; it measures the lag of the event loop, and keeps systemd's watchdog and status line."""
+    """Monitor of the server; it measures the lag of the event loop, and keeps systemd's watchdog."""
 
     def __init__(self, sources: Sources, notifier: SystemdNotifier, period_s: float = PERIOD_S) -> None:
         self._sources = sources
         self._notifier = notifier
         self._period_s = period_s
         self._watchdog_due_s = 0.0
-        self._status = ""
         self.metrics = Metrics(sources)
         self.routes: Mapping[str, Route] = {
             "healthz": self._on_readyz,
@@ -260,8 +259,7 @@ class Monitor:
         }
 
     async def run(self) -> None:
-        """Check at once, so that systemd knows of the start however quick it is, then regularly, until cancelled."""
-        self.check(time.monotonic())
+        """Check regularly, until cancelled."""
         while True:
             due_s = time.monotonic() + self._period_s
             await asyncio.sleep(self._period_s)
@@ -270,27 +268,20 @@ class Monitor:
             self.check(now_s)
 
     def check(self, now_s: float) -> None:
-        """Notify systemd of changes, and of the server being alive."""
+        """Notify systemd of the server being alive."""
         watchdog_s = self._notifier.watchdog_s
-        health = check_health(self._sources)
-        status = "; ".join(health.reasons or health.warnings) or "ready"
-        if status != self._status:
-            self._status = status
-            self._notifier.notify_status(status)
-        if watchdog_s and health.live and now_s >= self._watchdog_due_s:
+        if watchdog_s and now_s >= self._watchdog_due_s and check_health(self._sources).live:
             self._watchdog_due_s = now_s + watchdog_s / WATCHDOG_NOTIFICATIONS
             self._notifier.notify_watchdog()
 
     def notify_started(self) -> None:
         self._sources.started = True
-        self._notifier.notify_ready("; ".join(check_health(self._sources).reasons) or "ready")
+        self._notifier.notify_ready()
 
     def notify_stopping(self, *, restarts: bool = False) -> None:
         """Note the begin of the stop, and notify systemd, which would end a service that restarts at once."""
         self._sources.stopping = True
-        if restarts:
-            self._notifier.notify_status("starting again")
-        else:
+        if not restarts:
             self._notifier.notify_stopping()
 
     async def _on_readyz(self, _request: Request) -> HttpResponse:

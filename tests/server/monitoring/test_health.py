@@ -206,34 +206,26 @@ def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Systemd]
 
 
 def test_systemd_gets_notifications_in_its_format(systemd: Systemd, notifier: SystemdNotifier) -> None:
-    # A status cannot smuggle in another assignment.
-    notifier.notify_status("starting\nREADY=1")
-    notifier.notify_ready("ready")
+    notifier.notify_ready()
     notifier.notify_watchdog()
     notifier.notify_stopping()
-    assert [systemd.heard() for _ in range(4)] == [
-        ["STATUS=starting READY=1"],
-        ["READY=1", "STATUS=ready"],
-        ["WATCHDOG=1"],
-        ["STOPPING=1", "STATUS=stopping"],
-    ]
+    assert [systemd.heard() for _ in range(3)] == [["READY=1"], ["WATCHDOG=1"], ["STOPPING=1"]]
 
 
 def test_one_that_does_not_read_holds_nobody_up(notifier: SystemdNotifier) -> None:
     for _ in range(5000):
         notifier.notify_watchdog()
-        notifier.notify_status("there is news")
     notifier.close()
     notifier.notify_watchdog()
 
 
 def test_without_one_nothing_is_told_and_a_lost_one_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     notifier = SystemdNotifier.from_environment({}, 7)
-    notifier.notify_ready("ready")
+    notifier.notify_ready()
     assert notifier.watchdog_s == 0.0
     caplog.set_level(logging.WARNING)
     notifier = SystemdNotifier(str(tmp_path / "nobody"))
-    notifier.notify_ready("ready")
+    notifier.notify_ready()
     assert "NOTIFY_SOCKET" in caplog.text
 
 

@@ -53,7 +53,6 @@ class Health:
     live: bool
     ready: bool
     reasons: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
     def response(self, *, good: bool) -> HttpResponse:
         status = HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
@@ -65,7 +64,7 @@ def check_health(sources: Sources) -> Health:
     is_dead = silent and sources.started and not sources.stopping
     dead = (f"the arm process has been silent for more than {ARM_SILENT_S:g} s",) if is_dead else ()
     reasons = dead or tuple(_reasons_not_ready(sources))
-    return Health(not dead, not reasons, reasons, tuple(_warnings(sources)))
+    return Health(not dead, not reasons, reasons)
 
 
 def _reasons_not_ready(sources: Sources) -> Iterator[str]:
@@ -89,12 +88,3 @@ def _reasons_not_ready(sources: Sources) -> Iterator[str]:
             yield "the planners cannot be started"
         elif sources.planners.loaded_count == 0:
             yield "the planners are loading"
-
-
-def _warnings(sources: Sources) -> Iterator[str]:
-    if sources.arm is not None and sources.arm.state.mode is Mode.RELAXED:
-        yield "the arm is relaxed, and has to be enabled before it moves"
-    if sources.recorder is not None and sources.recorder.ended and not sources.stopping:
-        yield "the recording has ended; the log has the reason"
-    if sources.recorder is not None and sources.recorder.dropped:
-        yield "messages are missing in the recording"

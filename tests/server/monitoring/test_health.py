@@ -22,7 +22,7 @@ from server.monitoring.health import ARM_SILENT_S, ARM_STALE_S, Sources, check_h
 from server.monitoring.report import PROBLEMS, README, Redactor, Report, add_faults, add_machine, add_settings
 from server.monitoring.systemd import SystemdNotifier
 from tests.server.monitoring import watched_parts
-from tests.server.monitoring.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
+from tests.server.monitoring.watched_parts import WatchedArm, WatchedPlanners, arm_state
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_a_server_at_work_is_live_and_ready_and_has_nothing_to_say(sources: Sour
     # The second arm is simulated, and starved by a busy machine.
     for arm in (sources.arm, WatchedArm(arm_state(), 4.9, state_max_age_s=5.0)):
         health = check_health(replace(sources, arm=arm))
-        assert (health.live, health.ready, health.reasons, health.warnings) == (True, True, (), ())
+        assert (health.live, health.ready, health.reasons) == (True, True, ())
 
 
 NOT_READY: list[tuple[dict[str, Any], str]] = [
@@ -51,19 +51,12 @@ NOT_READY: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-def test_an_obstacle_to_goals_is_a_reason_to_be_unready_and_a_harmless_condition_a_warning(sources: Sources) -> None:
+def test_an_obstacle_to_goals_is_a_reason_to_be_unready(sources: Sources) -> None:
     for changes, reason in NOT_READY:
         health = check_health(replace(sources, **changes))
         assert (health.live, health.ready, health.reasons) == (True, False, (reason,)), changes
-    cases: list[tuple[dict[str, Any], str]] = [
-        ({"arm": WatchedArm(arm_state(Mode.RELAXED))}, "relaxed"),
-        ({"recorder": WatchedRecorder(ended=True)}, "the recording has ended"),
-        ({"recorder": WatchedRecorder(dropped=1)}, "messages are missing"),
-    ]
-    for changes, words in cases:
-        health = check_health(replace(sources, **changes))
-        (warning,) = health.warnings
-        assert (health.ready, words in warning) == (True, True), warning
+    # A relaxed arm is there for those who enable it.
+    assert check_health(replace(sources, arm=WatchedArm(arm_state(Mode.RELAXED)))).ready
 
 
 def test_a_long_silence_of_the_arm_process_makes_the_server_dead_unless_it_starts_or_stops(sources: Sources) -> None:
@@ -78,7 +71,7 @@ def test_a_long_silence_of_the_arm_process_makes_the_server_dead_unless_it_start
 def test_the_answer_over_http_has_the_status_for_monitors_and_no_device_file_or_address(sources: Sources) -> None:
     health = check_health(replace(sources, started=False))
     assert [int(health.response(good=good).status) for good in (True, False)] == [200, 503]
-    told = {"live": True, "ready": False, "reasons": ["the server is starting"], "warnings": []}
+    told = {"live": True, "ready": False, "reasons": ["the server is starting"]}
     assert json.loads(health.response(good=False).body) == told
     sources.arm = WatchedArm(arm_state(Mode.DISCONNECTED, FaultCode.BUS_LOST, "no /dev/ttySECRET"))
     sources.planners = WatchedPlanners(load_failure="cannot read /home/SECRET")

@@ -234,7 +234,7 @@ async def test_routes_are_answered_before_any_part_is_there() -> None:
 async def test_a_fault_makes_the_server_unready_but_not_dead(served: ServerOnBus, client: ArmClient) -> None:
     port = served.server.port
     # Planners load behind the start, and on a busy machine some of them a second time.
-    sound = 200, {"live": True, "ready": True, "reasons": [], "warnings": []}
+    sound = 200, {"live": True, "ready": True, "reasons": []}
     await asyncio.to_thread(wait_until, lambda: health(port) == sound)
     await client.call("/arm/emergency_stop")
     await client.until("/arm/state", lambda states: "fault" in values_of(states[-1]))

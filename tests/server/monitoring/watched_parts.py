@@ -32,7 +32,6 @@ class _WatchedPlanners:
 @dataclass
 class _WatchedRecorder:
     dropped: int = 0
-    ended: bool = False
 
 
 @dataclass

@@ -7,7 +7,6 @@ in ``Origin``. A page of another host can have its own name point to the server'
 and is then of one origin with the server for its browser; the name still stands in the ``Host`` header of each request.
 """
 
-import contextlib
 import fcntl
 import logging
 import math
@@ -22,7 +21,6 @@ from fnmatch import fnmatchcase
 from functools import cached_property, partial
 from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Address
-from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import parse_qs, unquote
 
@@ -44,23 +42,9 @@ log = logging.getLogger("armbridge.gateway")
 # ioctl(2) of netdevice(7): the IPv4 address of an interface.
 _SIOCGIFADDR = 0x8915
 
-# proc(5): one line an address, of 32 digits, index, prefix length, scope and flags, all in hexadecimal, and the name.
-_IPV6_TABLE = Path("/proc/net/if_inet6")
-_GLOBAL_SCOPE = "00"
-_IPV6_FIELDS = 6
-
 
 def host_addresses() -> Sequence[str]:
-    """Return the addresses at which other machines may reach this one: IPv4 first, no loopback or link-local."""
-    lines: list[list[str]] = []
-    # A kernel without IPv6 has no table, and a container may not read it.
-    with contextlib.suppress(OSError):
-        lines = [line.split() for line in _IPV6_TABLE.read_text().splitlines()]
-    found = [fields[0] for fields in lines if len(fields) == _IPV6_FIELDS and fields[3] == _GLOBAL_SCOPE]
-    return [*_ipv4_addresses(), *(str(IPv6Address(bytes.fromhex(digits))) for digits in found)]
-
-
-def _ipv4_addresses() -> list[str]:
+    """Return the IPv4 addresses at which other machines may reach this one: no loopback or link-local."""
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
         for _, name in socket.if_nameindex():

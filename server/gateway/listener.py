@@ -286,7 +286,7 @@ class Listener:
         listening = [each.getsockname()[0] for each in self._sockets]
         found = [each for each in listening if each not in EVERY_ADDRESS]
         if len(found) < len(listening):
-            found += [each for each in host_addresses() if ":" not in each or "::" in listening]
+            found += host_addresses()
         scheme = "http" if self._tls is None else "https"
         addresses = [each for each in dict.fromkeys(found) if not is_loopback(each)]
         return [f"{scheme}://{f'[{each}]' if ':' in each else each}:{self.port}/" for each in addresses]

@@ -342,7 +342,7 @@ async def test_clients_beyond_the_system_s_limit_of_open_files_are_refused(monke
 
 
 async def test_other_machines_find_the_page_at_the_addresses_of_this_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("server.gateway.listener.host_addresses", lambda: ["10.0.0.2", "fd00::2"])
+    monkeypatch.setattr("server.gateway.listener.host_addresses", lambda: ["10.0.0.2"])
     access = Access(AccessSettings(insecure=True))
     for host, urls in (("127.0.0.1", []), ("0.0.0.0", ["http://10.0.0.2:{port}/"])):
         listener = Listener(Graph(REGISTRY), ServerSettings(host=host, port=0), access=access)

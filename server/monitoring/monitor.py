@@ -12,9 +12,16 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
 
-from prometheus_client import CollectorRegistry, Counter, Histogram, ProcessCollector, disable_created_metrics
+from prometheus_client import (
+    CONTENT_TYPE_LATEST,
+    CollectorRegistry,
+    Counter,
+    Histogram,
+    ProcessCollector,
+    disable_created_metrics,
+    generate_latest,
+)
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
-from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
 from websockets.http11 import Request
 
@@ -102,11 +109,6 @@ class Metrics(Collector):
             registry=self.registry,
         )
         ProcessCollector(namespace="armbridge", registry=self.registry)
-
-    def expose(self, accept: str) -> tuple[bytes, str]:
-        """Return the metrics as the header Accept asks, else as Prometheus' text, and their media type."""
-        encode, media_type = choose_encoder(accept)
-        return encode(self.registry), media_type
 
     def collect(self) -> Iterator[Metric]:
         sources = self._sources
@@ -292,6 +294,5 @@ class Monitor:
         health = check_health(self._sources)
         return health.response(good=health.live)
 
-    async def _on_metrics(self, request: Request) -> HttpResponse:
-        text, media_type = self.metrics.expose(", ".join(request.headers.get_all("Accept")))
-        return HttpResponse.of_data(HTTPStatus.OK, text, media_type)
+    async def _on_metrics(self, _request: Request) -> HttpResponse:
+        return HttpResponse.of_data(HTTPStatus.OK, generate_latest(self.metrics.registry), CONTENT_TYPE_LATEST)

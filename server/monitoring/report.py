@@ -37,7 +37,6 @@ MAX_FAULT_FILES = 20
 # Of a file that is copied; a robot.toml has a few kilobytes.
 MAX_FILE_BYTES = 1_000_000
 
-README = "README.txt"
 PROBLEMS = "problems.txt"
 
 # Beginning of the members' names, and their content.
@@ -122,12 +121,6 @@ class Report:
     def archive(self) -> bytes:
         if self._problems:
             self.add(PROBLEMS, "".join(f"{problem}\n" for problem in self._problems))
-        there = [
-            f"{name}: {content}."
-            for name, content in CONTENTS.items()
-            if any(member.startswith(name) for member in self._members)
-        ]
-        self.add(README, "\n".join(("Report of armbridge, made by armbridge report.", "", *there, "")))
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in self._members.items():

@@ -19,7 +19,7 @@ from robot.messages import Mode
 from server.config import Settings
 from server.monitoring import report as report_module
 from server.monitoring.health import ARM_SILENT_S, ARM_STALE_S, Sources, check_health
-from server.monitoring.report import PROBLEMS, README, Redactor, Report, add_faults, add_machine, add_settings
+from server.monitoring.report import PROBLEMS, Redactor, Report, add_faults, add_machine, add_settings
 from server.monitoring.systemd import SystemdNotifier
 from tests.server.monitoring import watched_parts
 from tests.server.monitoring.watched_parts import WatchedArm, WatchedPlanners, arm_state
@@ -117,7 +117,7 @@ def test_secrets_are_blotted_out() -> None:
     assert {text: redactor.text(text) for text in SECRETS} == SECRETS
 
 
-def test_every_member_is_without_secrets_and_listed(report: Report, tmp_path: Path) -> None:
+def test_every_member_is_without_secrets(report: Report, tmp_path: Path) -> None:
     file = tmp_path / "robot.toml"
     file.write_text(f"# {TOKEN}")
     report.add("server/log.txt", TOKEN)
@@ -125,10 +125,8 @@ def test_every_member_is_without_secrets_and_listed(report: Report, tmp_path: Pa
     report.add_file("arm/robot.toml", file)
     report.note(TOKEN)
     told = members(report)
-    assert set(told) == {"server/log.txt", "settings.json", "arm/robot.toml", PROBLEMS, README}
+    assert set(told) == {"server/log.txt", "settings.json", "arm/robot.toml", PROBLEMS}
     assert TOKEN not in "".join(told.values())
-    listed = [line.partition(":")[0] for line in told[README].splitlines()[2:] if line]
-    assert listed == ["settings.json", "arm/", "server/", PROBLEMS]
 
 
 def test_settings_have_neither_tokens_nor_the_names_of_their_owners(report: Report) -> None:
@@ -168,7 +166,7 @@ def test_the_newest_fault_files_are_included(report: Report, tmp_path: Path, mon
     told = members(report)
     assert [name for name in told if name.startswith("faults/")] == ["faults/fault-3.jsonl", "faults/fault-2.jsonl"]
     add_faults(none := Report(Redactor([], HOME)), tmp_path / "none")
-    assert set(members(none)) == {README}
+    assert members(none) == {}
 
 
 class Systemd:

@@ -66,7 +66,7 @@ def test_a_viewer_gets_all_but_the_log_and_a_wrong_token_nothing(port: int) -> N
     assert "server/log.txt" not in told
     assert "server/log.txt: service /armbridge/last_log_lines: needs the role admin" in told["problems.txt"]
     told = told_by(port, "three-0123456789abcdef")
-    assert set(told) == {"README.txt", "problems.txt"}
+    assert set(told) == {"problems.txt"}
     assert "server: server rejected WebSocket connection: HTTP 401" in told["problems.txt"]
 
 

@@ -357,14 +357,10 @@ class HttpHandler:
             )
             return HttpResponse.of_failure(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, sentence)
         lengths = headers.get_all("Content-Length")
-        if headers.get_all("Transfer-Encoding"):
-            sentence = "Transfer-Encoding is not supported; send the body as a whole, with Content-Length"
+        if headers.get_all("Transfer-Encoding") or len(lengths) != 1 or not _LENGTH.fullmatch(lengths[0]):
+            got = one_line(shorten(", ".join(lengths) or "none"))
+            sentence = f"the header Content-Length must be one number, without Transfer-Encoding, not {got}"
             return HttpResponse.of_failure(HTTPStatus.LENGTH_REQUIRED, sentence)
-        if not lengths:
-            return HttpResponse.of_failure(HTTPStatus.LENGTH_REQUIRED, "the header Content-Length is missing")
-        if len(lengths) > 1 or not _LENGTH.fullmatch(lengths[0]):
-            sentence = f"the header Content-Length must be one number, not {one_line(shorten(', '.join(lengths)))}"
-            return HttpResponse.of_failure(HTTPStatus.BAD_REQUEST, sentence)
         if int(lengths[0]) > MAX_BODY_BYTES:
             sentence = f"the body has {int(lengths[0])} bytes, the limit is {MAX_BODY_BYTES}"
             return HttpResponse.of_failure(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, sentence)

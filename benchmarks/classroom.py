@@ -21,6 +21,7 @@ import psutil
 from harness.clients import FrameClient, frame_client
 from harness.figures import print_table
 from harness.server import FAST, ROOT
+from harness.waiting import until_ready
 
 STUDENTS = 20
 MEASURE_S = 20.0
@@ -131,8 +132,9 @@ def _classroom(arm: str) -> Iterator[tuple[psutil.Process, list[str]]]:
     """A classroom, and the addresses of its servers with their tokens."""
     with tempfile.TemporaryDirectory() as folder:
         options = ["--students", str(STUDENTS), "--port", "0", "--data", folder, "--robot", arm]
-        with _started("classroom", *options, ready="the classroom is ready") as process:
-            with (Path(folder) / "students.csv").open(newline="") as lines:
+        with _started("classroom", *options, ready="students.csv") as process:
+            until_ready(students := Path(folder) / "students.csv")
+            with students.open(newline="") as lines:
                 places = [row for row in csv.DictReader(lines) if row["name"] != "teacher"]
             yield process, [f"{row['url']}/?token={row['token']}" for row in places]
 

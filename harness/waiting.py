@@ -1,13 +1,16 @@
 """Waits for events, each with a timeout that only a broken program meets."""
 
 import asyncio
+import contextlib
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 # What takes a millisecond, and a start or a program that takes seconds, take very much longer on a busy machine.
 TIMEOUT_S = 300.0
@@ -26,6 +29,20 @@ def wait_until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) ->
     while not condition():
         assert time.monotonic() < until_s, "it has not come to it in time"
         time.sleep(0.005)
+
+
+def until_ready(students: Path) -> None:
+    """Wait until the servers of a classroom's list are ready."""
+    wait_until(students.exists)
+    for url in {line.split(",")[1] for line in students.read_text().splitlines()[1:]}:
+
+        def answers(url: str = url) -> bool:
+            # Nobody listens yet, or the server is not ready.
+            with contextlib.suppress(OSError):
+                return urlopen(f"http{url.removeprefix('ws')}/readyz", timeout=TIMEOUT_S).status == HTTPStatus.OK
+            return False
+
+        wait_until(answers)
 
 
 def join(thread: threading.Thread) -> None:

@@ -2,7 +2,6 @@
 
 import asyncio
 import logging
-import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -56,7 +55,6 @@ from server.lifecycle import (
     start_in_order,
     stop_in_reverse,
     stop_signals,
-    toggle_debug,
     unless_ended,
 )
 from server.monitoring.memory import SWITCH_INTERVAL_S, CollectorPolicy, MemoryKeeper
@@ -211,7 +209,6 @@ class App:
         ending, hurry = stop_signals()
         listener = self._clients.listener
         on_hangup(listener.reload_certificate, ending.set)
-        asyncio.get_running_loop().add_signal_handler(signal.SIGUSR1, toggle_debug)
         started: list[Part | Feature] = []
         try:
             if await unless_ended(ending, start_in_order(self.features, started)):

@@ -6,7 +6,6 @@ that memory. Planners are processes of the host, and the servers take turns with
 
 import csv
 import gc
-import http.client
 import importlib
 import io
 import logging
@@ -14,7 +13,6 @@ import os
 import secrets
 import signal
 import socket
-import ssl
 import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -169,7 +167,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD)
 # A server takes 2.6 s at most, and the end of its arm up to 20 s where it is parked; twenty of them share the cores.
 END_TIMEOUT_S = 40.0
 
-# Interval of looking for what has nothing to do with signals.
+# Interval of looking for members that are due again.
 CHECK_S = 0.2
 
 
@@ -234,7 +232,7 @@ class Member:
         self.run()
 
 
-def supervise(members: Sequence[Member], check: Callable[[], None]) -> None:
+def supervise(members: Sequence[Member]) -> None:
     """Run all members until SIGINT or SIGTERM; each that ends is started again, and at last all end together.
 
     This process has no threads and no event loop, so that a fork of it is whole at any time. It waits for signals: the
@@ -250,7 +248,6 @@ def supervise(members: Sequence[Member], check: Callable[[], None]) -> None:
             for member in members:
                 member.reap(now_s)
                 member.start_if_due(now_s)
-            check()
     finally:
         _end(members)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -281,8 +278,6 @@ log = logging.getLogger("armbridge.classroom")
 
 # Questions that are answered at the same time: checks of motions under way among them, which others' must not hold up.
 QUESTIONS = 2
-
-READY_TIMEOUT_S = 0.3
 
 
 def run_classroom(settings: Settings, count: int, planners: int, folder: Path, with_physics: Collection[str]) -> None:
@@ -315,6 +310,8 @@ def run_classroom(settings: Settings, count: int, planners: int, folder: Path, w
     _check_ports(host, students)
     _make_folders(folder, students)
     write_list(file, students, teacher_token, host, tls=settings.server.tls_certificate is not None)
+    first, last = students[0].port, students[-1].port
+    log.info("%d arms on ports %d to %d; names, addresses and tokens are in %s", len(students), first, last, file)
     with tempfile.TemporaryDirectory(prefix="armbridge") as private:
         inherited = Inherited(description, Path(private) / "planners")
 
@@ -325,9 +322,7 @@ def run_classroom(settings: Settings, count: int, planners: int, folder: Path, w
 
         planner_host = Member("the planners", serve_planners, folder / "planners.log")
         servers = [_server_member(student, own, inherited) for student, own in zip(students, all_settings, strict=True)]
-        supervise(
-            [planner_host, *servers], _log_when_ready(students, host, file, tls=bool(settings.server.tls_certificate))
-        )
+        supervise([planner_host, *servers])
     log.info("stopped")
 
 
@@ -380,40 +375,3 @@ def _make_folders(folder: Path, students: Sequence[Student]) -> None:
             each.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
             raise StartError(f"{each}: the folder cannot be made: {error}") from error
-
-
-def _log_when_ready(students: Sequence[Student], host: str, file: Path, *, tls: bool) -> Callable[[], None]:
-    """Return a check which servers are ready by now, until one is not; it logs once that all are."""
-    began_s, waited = time.monotonic(), list(students)
-    asked = "127.0.0.1" if host in ("0.0.0.0", "") else "::1" if host == "::" else host  # noqa: S104 - compared
-
-    def check() -> None:
-        while waited and _is_ready(asked, waited[0].port, tls=tls):
-            waited.pop(0)
-            if not waited:
-                place = f"{len(students)} arms on ports {students[0].port} to {students[-1].port}"
-                ready_s = time.monotonic() - began_s
-                log.info(
-                    "the classroom is ready after %.1f s: %s; names, addresses and tokens are in %s",
-                    ready_s,
-                    place,
-                    file,
-                )
-
-    return check
-
-
-def _is_ready(host: str, port: int, *, tls: bool) -> bool:
-    connection = http.client.HTTPConnection(host, port, timeout=READY_TIMEOUT_S)
-    if tls:
-        # This machine asks itself; the certificate names others' way here.
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-        connection = http.client.HTTPSConnection(host, port, timeout=READY_TIMEOUT_S, context=context)
-    try:
-        connection.request("GET", "/readyz")
-        return connection.getresponse().status == http.client.OK
-    except (OSError, http.client.HTTPException):
-        return False
-    finally:
-        connection.close()

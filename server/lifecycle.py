@@ -10,8 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
-from robot import logs
-from robot.logs import OUR_LOGGER, LoggerLevel
 from robot.messages import ArmHealth, ArmState
 
 log = logging.getLogger("armbridge")
@@ -148,13 +146,6 @@ def on_hangup(
         (stop if began_in_terminal and not is_terminal(STDIN) else reload)()
 
     asyncio.get_running_loop().add_signal_handler(signal.SIGHUP, handle)
-
-
-def toggle_debug() -> None:
-    """Set the log's level to debug, or back to the settings' level, at each SIGUSR1."""
-    debug = logging.getLogger(OUR_LOGGER).level != logging.DEBUG
-    logs.change(LoggerLevel(OUR_LOGGER, logging.DEBUG if debug else logging.NOTSET))
-    log.warning("SIGUSR1: the log's level is %s", "debug now" if debug else "again what the settings say")
 
 
 async def unless_ended(

@@ -16,7 +16,7 @@ from protocol.registry import Kind
 from protocol.type_descriptions import full_text, typedefs
 from server.errors import ServiceError
 from server.graph.index import TypedNames, is_hidden
-from server.graph.permissions import CONFIGURING, LOOKING, NameFilter, Node
+from server.graph.permissions import CONFIGURING, LOOKING, Node
 from server.graph.providers import CompleteResponse
 from server.graph.services import Call, failure_told
 from server.graph.topics import Graph
@@ -84,8 +84,8 @@ TYPES = {
 class RosApi:
     """Offers the services of rosapi on a graph."""
 
-    def __init__(self, graph: Graph, params: NameFilter | None = None) -> None:
-        self.parameters = Parameters(params)
+    def __init__(self, graph: Graph) -> None:
+        self.parameters = Parameters()
         self._graph = graph
         self._services = graph.services
         self._registry = graph.message_types.registry
@@ -188,18 +188,15 @@ class RosApi:
 class Parameters:
     """Parameters: JSON texts by name, kept for the life of the server."""
 
-    def __init__(self, names: NameFilter | None = None) -> None:
-        self._names = names or NameFilter("access.params_glob")
+    def __init__(self) -> None:
         self._values: dict[str, str] = {}
-        # Names of those that clients may use.
-        self._open: set[str] = set()
         self._size_bytes = 0
         self.handlers: Handlers = {
             "set_param": self._set_param,
             "get_param": self._get_param,
-            "has_param": lambda request: {"exists": self._allowed_name(request) in self._values},
+            "has_param": lambda request: {"exists": _parameter_name(request) in self._values},
             "delete_param": self._delete_param,
-            "get_param_names": lambda _: {"names": sorted(self._open)},
+            "get_param_names": lambda _: {"names": sorted(self._values)},
             "search_param": self._search_param,
         }
 
@@ -207,11 +204,9 @@ class Parameters:
         """Set a parameter of the server itself, without the limits that hold for clients."""
         self._size_bytes += _size_bytes(name, value) - self._stored_bytes(name)
         self._values[name] = value
-        if self._names.refusal("parameter", name) is None:
-            self._open.add(name)
 
     def _set_param(self, request: Request) -> dict[str, Any]:
-        name, value = self._allowed_name(request), request.values["value"]
+        name, value = _parameter_name(request), request.values["value"]
         if name not in self._values and len(self._values) >= MAX_PARAMETERS:
             raise ServiceError(f"name: there are {MAX_PARAMETERS} parameters already, the limit")
         size_bytes = self._size_bytes + _size_bytes(name, value) - self._stored_bytes(name)
@@ -222,13 +217,12 @@ class Parameters:
         except (ValueError, RecursionError) as error:
             raise ServiceError(f"value: must be JSON text: {error}") from error
         self._values[name] = value
-        self._open.add(name)
         self._size_bytes = size_bytes
         return DONE
 
     def _get_param(self, request: Request) -> dict[str, Any]:
         """Return a parameter, or the default of the request; what there is not is JSON text too, as in rosapi."""
-        name, default = self._allowed_name(request), request.values["default_value"]
+        name, default = _parameter_name(request), request.values["default_value"]
         value = self._values.get(name)
         if value is not None:
             return {"value": value, **DONE}
@@ -237,29 +231,24 @@ class Parameters:
         return {"value": NO_PARAMETER, "successful": False, "reason": f"there is no parameter {name}"}
 
     def _delete_param(self, request: Request) -> dict[str, Any]:
-        name = self._allowed_name(request)
+        name = _parameter_name(request)
         self._size_bytes -= self._stored_bytes(name)
         self._values.pop(name, None)
-        self._open.discard(name)
         return DONE
 
     def _search_param(self, request: Request) -> dict[str, Any]:
         """Return the name itself if it exists: there are no namespaces to search upwards."""
-        name = self._allowed_name(request)
+        name = _parameter_name(request)
         return {"global_name": name if name in self._values else ""}
-
-    def _allowed_name(self, request: Request) -> str:
-        name: str = request.values["name"]
-        # ROS 2 has parameters of nodes, `<node>:<name>`; a node's slash may be left out (rosapi/params.py).
-        if ":" in name and not name.startswith("/"):
-            name = f"/{name}"
-        refusal = self._names.refusal("parameter", name)
-        if refusal is not None:
-            raise ServiceError(refusal)
-        return name
 
     def _stored_bytes(self, name: str) -> int:
         return _size_bytes(name, self._values[name]) if name in self._values else 0
+
+
+def _parameter_name(request: Request) -> str:
+    name: str = request.values["name"]
+    # ROS 2 has parameters of nodes, `<node>:<name>`; a node's slash may be left out (rosapi/params.py).
+    return f"/{name}" if ":" in name and not name.startswith("/") else name
 
 
 def _type_answer(names: TypedNames, field: str) -> Handler:

@@ -257,7 +257,6 @@ class Access:
         self.drivers: set[Node] = set()
         self.topics = NameFilter("access.topics_glob", settings.topics_glob)
         self.services = NameFilter("access.services_glob", settings.services_glob, ALWAYS_SERVICES)
-        self.params = NameFilter("access.params_glob", settings.params_glob)
         self.settings = settings
         self.clock = clock
 

@@ -13,7 +13,6 @@ from ipaddress import ip_address
 from pathlib import Path
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, load_pem_private_key
@@ -25,9 +24,6 @@ from server.errors import ConfigurationError
 # A day less than what phones take, which count the first second as well.
 VALID_DAYS = 397
 AUTHORITY_VALID_DAYS = 3650
-
-# A certificate with less time left is replaced.
-RENEW_DAYS = 30
 
 # Clocks of phones differ from the server's; a certificate that begins now would not be valid there yet.
 _CLOCK_MARGIN = timedelta(hours=1)
@@ -55,15 +51,14 @@ class CertificateFiles:
 
 
 @dataclass(frozen=True)
-class EnsuredCertificate:
-    """Outcome of :func:`ensure_certificate`; ``reason`` is empty when the old certificate stays."""
+class IssuedCertificate:
+    """Outcome of :func:`issue_certificate`."""
 
     names: Sequence[str]
     ends: datetime
     authority_name: str
     fingerprint: str
     made_authority: bool
-    reason: str
 
 
 @dataclass(frozen=True)
@@ -72,10 +67,8 @@ class _Pair:
     key: ec.EllipticCurvePrivateKey
 
 
-def ensure_certificate(
-    files: CertificateFiles, names: Iterable[str], now: datetime | None = None
-) -> EnsuredCertificate:
-    """Make the server's certificate, and the authority before it, unless they are good; raises ConfigurationError."""
+def issue_certificate(files: CertificateFiles, names: Iterable[str], now: datetime | None = None) -> IssuedCertificate:
+    """Make the server's certificate, and the authority before it unless it is good; raises ConfigurationError."""
     now = datetime.now(UTC) if now is None else now
     wanted = list(dict.fromkeys(map(_general_name, names)))
     if not 1 <= len(wanted) <= MAX_NAMES:
@@ -83,51 +76,28 @@ def ensure_certificate(
     try:
         files.directory.mkdir(mode=0o700, parents=True, exist_ok=True)
         with locked(files.authority):
-            return _ensure(files, wanted, now)
+            return _issue(files, wanted, now)
     except OSError as error:
         raise ConfigurationError(f"{files.directory}: the certificate cannot be kept there: {error}") from error
 
 
-def _ensure(files: CertificateFiles, wanted: Sequence[x509.GeneralName], now: datetime) -> EnsuredCertificate:
+def _issue(files: CertificateFiles, wanted: Sequence[x509.GeneralName], now: datetime) -> IssuedCertificate:
     authority = _load(files.authority, files.authority_key)
     made_authority = authority is None or authority.certificate.not_valid_after_utc < now + timedelta(days=VALID_DAYS)
     if authority is None or made_authority:
         authority = _make_authority(now)
         replace(files.authority_key, _key_pem(authority.key), 0o600)
         replace(files.authority, _pem(authority.certificate), 0o644)
-    present = _load(files.certificate, files.key)
-    reason = _reason_to_renew(present, authority, wanted, now)
-    if present is None or reason:
-        present = _make_certificate(authority, wanted, now)
-        replace(files.key, _key_pem(present.key), 0o600)
-        replace(files.certificate, _pem(present.certificate) + _pem(authority.certificate), 0o644)
-    fingerprint = authority.certificate.fingerprint(SHA256()).hex(" ").upper()
-    name = authority.certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value
-    return EnsuredCertificate(
-        _names(present.certificate),
-        present.certificate.not_valid_after_utc,
-        str(name),
-        fingerprint,
+    made = _make_certificate(authority, wanted, now)
+    replace(files.key, _key_pem(made.key), 0o600)
+    replace(files.certificate, _pem(made.certificate) + _pem(authority.certificate), 0o644)
+    return IssuedCertificate(
+        [str(name.value) for name in wanted],
+        made.certificate.not_valid_after_utc,
+        str(authority.certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value),
+        authority.certificate.fingerprint(SHA256()).hex(" ").upper(),
         made_authority,
-        reason,
     )
-
-
-def _reason_to_renew(present: _Pair | None, authority: _Pair, wanted: Sequence[x509.GeneralName], now: datetime) -> str:
-    if present is None:
-        return "there was none that can be used"
-    ends = present.certificate.not_valid_after_utc
-    if ends < now:
-        return f"the old one ended on {ends:%Y-%m-%d}"
-    if ends < now + timedelta(days=RENEW_DAYS):
-        return f"the old one ends on {ends:%Y-%m-%d}"
-    try:
-        present.certificate.verify_directly_issued_by(authority.certificate)
-    except (ValueError, TypeError, InvalidSignature):
-        return "the old one is of another authority"
-    names = _names(present.certificate)
-    missing = [str(name.value) for name in wanted if str(name.value) not in names]
-    return f"the old one lacks {', '.join(missing)}" if missing else ""
 
 
 def _general_name(name: str) -> x509.GeneralName:
@@ -202,14 +172,6 @@ def _builder(
         .add_extension(x509.BasicConstraints(is_authority, 0 if is_authority else None), critical=True)
         .add_extension(usage, critical=True)
     )
-
-
-def _names(certificate: x509.Certificate) -> list[str]:
-    try:
-        extension = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName)
-    except x509.ExtensionNotFound:
-        return []
-    return [str(each.value) for each in extension.value]
 
 
 def _load(certificate: Path, key: Path) -> _Pair | None:

@@ -49,8 +49,6 @@ class AccessSettings(SettingsSection):
     """patterns of topics that clients may use; empty for all."""
     services_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
     """patterns of services and actions that clients may use, besides /rosapi/*; empty for all."""
-    params_glob: tuple[str, ...] = Field(default=(), max_length=MAX_GLOBS)
-    """patterns of parameters that clients may read and set; empty for all."""
     control: Literal["lease", "shared"] = "lease"
     """lease: one client controls the arm at a time; shared: all clients."""
     control_idle_s: float = Field(default=10.0, ge=1.0, le=3600.0)

@@ -14,7 +14,7 @@ from server.commands.terminal import ExitCode, Terminal
 from server.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from server.access.certificates import CertificateFiles, EnsuredCertificate
+    from server.access.certificates import CertificateFiles, IssuedCertificate
 
 _PHONES = """\
 Bring {authority} onto each phone, once.
@@ -48,8 +48,7 @@ def add_certificate_parser(subparsers: Subparsers) -> None:
         "make a certificate for this machine that phones and browsers accept (https)",
         "Make a local certificate authority, once, and a certificate of it for the names and addresses of "
         "this machine, and say how the server and a phone take them. The first time, make a token as well. "
-        "Called again it renews the certificate when it "
-        "is about to end or when names or addresses are missing. Nothing is sent anywhere.",
+        "Called again it makes another certificate of the same authority. Nothing is sent anywhere.",
     )
     parser.add_argument(
         "--name",
@@ -66,7 +65,7 @@ def add_certificate_parser(subparsers: Subparsers) -> None:
 
 def _certificate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
-    from server.access.certificates import CertificateFiles, ensure_certificate
+    from server.access.certificates import CertificateFiles, issue_certificate
     from server.gateway.admission import host_addresses, own_names
     from server.moveit.named_states import data_directory
 
@@ -74,7 +73,7 @@ def _certificate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     files = CertificateFiles(directory.absolute())
     own = ("localhost", *reversed(own_names()), *host_addresses(), "127.0.0.1", "::1")
     try:
-        outcome = ensure_certificate(files, (*options.names, *own))
+        outcome = issue_certificate(files, (*options.names, *own))
         tokens, token = ensure_token(files.directory)
     except ConfigurationError as error:
         terminal.say(f"armbridge: {error}")
@@ -96,13 +95,11 @@ def ensure_token(directory: Path) -> tuple[Path, str]:
     return file, token
 
 
-def description_of(files: CertificateFiles, outcome: EnsuredCertificate, tokens: Path, token: str) -> str:
-    certificate = f"The certificate is valid until {outcome.ends:%Y-%m-%d}"
-    made = f"{certificate}; it was made because {outcome.reason}." if outcome.reason else f"{certificate}; it stays."
+def description_of(files: CertificateFiles, outcome: IssuedCertificate, tokens: Path, token: str) -> str:
     known = "" if outcome.made_authority else " Phones that trust it already need nothing."
     return "\n".join(
         (
-            made,
+            f"The certificate is valid until {outcome.ends:%Y-%m-%d}.",
             f"  certificate  {files.certificate}",
             f"  its key      {files.key}",
             f"  authority    {files.authority} ({'new' if outcome.made_authority else 'as before'}).{known}",
@@ -115,7 +112,7 @@ def description_of(files: CertificateFiles, outcome: EnsuredCertificate, tokens:
             f"    --set access.token_file={tokens} \\",
             f"    --set server.tls_certificate={files.certificate} \\",
             f"    --set server.tls_key={files.key}",
-            "A server that runs with it takes a renewed one on SIGHUP (systemctl reload armbridge).",
+            "A server that runs with one takes the new one on SIGHUP (systemctl reload armbridge).",
             "",
             _PHONES.format(
                 authority=files.authority,

@@ -71,7 +71,7 @@ def _report(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dict[str, int]]:
     from server.access.authentication import Tokens
-    from server.monitoring.report import Redactor, Report, RunningServer, add_faults, add_machine, add_settings
+    from server.monitoring.report import Redactor, Report, add_faults, add_machine, add_server, add_settings
     from server.moveit.named_states import data_directory
 
     problems = []
@@ -99,18 +99,14 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
             report.add_file("arm/calibration.json", file)
     faults = {settings.diagnostics.directory(data_directory(os.environ))}
     terminal.say("looking for a running server ...")
-    runs = False
+    named: set[Path] | None = set()
     with report.part("server"):
         strongest = max(tokens, key=lambda token: tokens[token].role, default=None)
-        server = RunningServer(settings, strongest)
-        if runs := server.runs:
-            faults |= server.add_to(report)
-        else:
-            report.note(f"server: none answers at {server.address}")
-    if not runs:
+        named = add_server(report, settings, strongest)
+    if named is None:
         with report.part("bus"):
             _add_bus(report, settings, terminal)
-    for directory in faults:
+    for directory in faults | (named or set()):
         add_faults(report, directory)
     return report.archive(), dict(report.sizes)
 

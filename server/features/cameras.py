@@ -93,9 +93,7 @@ class Cameras(Feature):
         self._restart_delay = RestartDelay()
         for each in cameras:
             self._put(each.namespace.strip("/"), each)
-        for name, serve in (("Set", self._set), ("Remove", self._remove)):
-            offered, type_name = f"/simulation/{name.lower()}_camera", f"armbridge_msgs/srv/{name}Camera"
-            self._node.offer(offered, type_name, serve, rule=WORKING)
+        self._node.offer("/simulation/set_camera", "armbridge_msgs/srv/SetCamera", self._set, rule=WORKING)
 
     async def start(self) -> None:
         self._publish_frames(())
@@ -194,30 +192,15 @@ class Cameras(Feature):
         if name not in self._cameras and not re.fullmatch(CAMERA_NAME, name):
             raise CameraError(f"name must be at most 31 lower-case letters, digits and _, a letter first, not {name!r}")
         if name not in self._cameras and len(self._cameras) >= MAX_CAMERAS:
-            raise CameraError(f"there are {MAX_CAMERAS} cameras at most: remove one first")
+            raise CameraError(f"there are {MAX_CAMERAS} cameras at most: replace one, by its name")
         settings = {key: value for key, value in request.items() if value and key != "name"}
         camera = PublishedCamera(read_camera(self._robot, settings), f"/{name}/image/compressed")
-        self._change(name, camera)
-        return f"{name} is on {', '.join(camera.topics)}"
-
-    def _remove(self, request: Message) -> str:
-        name = request["name"]
-        if name not in self._cameras:
-            known = ", ".join(self._cameras) or "none"
-            raise CameraError(f"there is no camera {name!r}; there are: {known}")
-        self._change(name, None)
-        return f"{name} is removed"
-
-    def _change(self, name: str, camera: PublishedCamera | None) -> None:
-        frames = {each.optical_frame for each in self._cameras.values()}
-        node = self._nodes.pop(name, None)
-        if camera is None:
-            del self._cameras[name]
-        else:
-            self._put(name, camera)
-        if node is not None:
-            self._graph.remove(node)
+        frames, replaced = {each.optical_frame for each in self._cameras.values()}, self._nodes.get(name)
+        self._put(name, camera)
+        if replaced is not None:
+            self._graph.remove(replaced)
         self._publish_frames(frames)
+        return f"{name} is on {', '.join(camera.topics)}"
 
     def _put(self, name: str, camera: PublishedCamera) -> None:
         """Offer the topics of a camera; raises GraphError where a client has given one of them another type."""
@@ -256,7 +239,7 @@ class Cameras(Feature):
             return
         for topic, each in message.messages:
             self._failures = 0
-            # A camera may have been removed meanwhile.
+            # A camera may have been replaced by one without depth meanwhile.
             if node := next((self._nodes[name] for name, of in self._cameras.items() if topic in of.topics), None):
                 node.publish(topic, each)
         self._ready = True

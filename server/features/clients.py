@@ -21,7 +21,6 @@ from server.gateway import http_goals
 from server.gateway.http import HttpHandler, HttpResponse, Route
 from server.gateway.listener import Listener
 from server.graph.permissions import NameFilter, Role, Rule
-from server.graph.services import MAX_TIMEOUT_S
 from server.graph.topics import Graph
 from server.lifecycle import Feature
 
@@ -78,28 +77,18 @@ FORMAT = 1
 
 async def interface_document(context: ServerContext, _request: Request) -> HttpResponse:
     """Return the document about the server for clients, with the topics, services and actions of the moment."""
-    graph, access, settings = context.graph, context.access, context.settings
+    graph, access = context.graph, context.access
     # 70 ms for the hashes of all types, the first time.
     types = await asyncio.to_thread(type_hashes, graph.message_types.registry)
     document = {
         "format": FORMAT,
         "version": metadata.version("armbridge"),
         "roles": [role.name.lower() for role in Role],
-        "settings": {
-            "ros_version": settings.server.ros_version,
-            "control": settings.access.control,
-            "on_disconnect": settings.goals.on_disconnect,
-            "confirm": context.planning.confirmation.enabled,
-            "confirm_timeout_s": settings.goals.confirm_timeout_s,
-            "max_message_bytes": settings.server.limits.max_message_bytes,
-            "max_call_s": MAX_TIMEOUT_S,
-        },
         "arms": [_arm(arm) for arm in context.arms],
         "topics": _names(graph.topic_names.types(), rule_of_topic, graph, access.topics, "topic"),
         "services": _names(graph.services.names.types(), rule_of_service, graph, access.services, "service"),
         "actions": _names(graph.actions.names.types(), rule_of_action, graph, access.services, "action"),
         "types": types,
-        "types_sha256": hashlib.sha256("".join(map("{0[0]}{0[1]}".format, types.items())).encode()).hexdigest(),
     }
     return HttpResponse.of_json(HTTPStatus.OK, document)
 

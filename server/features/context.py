@@ -186,5 +186,4 @@ def context_of(
             own = {"group_name": each.robot.default_group, "end_effector_link": each.robot.tip_link}
             several.append(made(each, moveit.model_copy(update=own), f"moveit of {each.name}"))
     access = Access(settings.access, busy=whole.running, arms={each.name: each.running for each in several})
-    rosapi = RosApi(graph, params=access.params)
-    return ServerContext(settings, graph, (whole, *several), planning, way, access, rosapi)
+    return ServerContext(settings, graph, (whole, *several), planning, way, access, RosApi(graph))

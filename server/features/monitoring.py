@@ -15,7 +15,7 @@ from server.monitoring.fault_files import FaultFiles
 from server.monitoring.health import Sources
 from server.monitoring.log_ring import LogRing
 from server.monitoring.monitor import Monitor
-from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_services
+from server.monitoring.ros_topics import Diagnostics, Rosout, offer_level_service
 from server.monitoring.servo_history import ServoHistory
 from server.monitoring.systemd import SystemdNotifier
 from server.moveit.named_states import data_directory
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class Logs(Feature):
-    """The log as a topic, as services, and in files about faults; it stops last, and so has the lines of the stop."""
+    """The log as a topic, by services, and in files about faults; it stops last, and so has the lines of the stop."""
 
     name = "the logs"
     deadline_s = 0.4
@@ -36,7 +36,7 @@ class Logs(Feature):
         self._ring = LogRing()
         self._ring.offer(graph)
         self._rosout = Rosout(graph, asyncio.get_running_loop())
-        offer_level_services(graph)
+        offer_level_service(graph)
         directory = diagnostics.directory(data_directory(os.environ))
         self._fault_files = FaultFiles(directory, diagnostics.fault_files, self._ring, robot.name)
         condition = Diagnostics(graph, robot.name, lambda: self._fault_files.latest)
@@ -76,7 +76,6 @@ class Monitoring(BackgroundTask):
     ) -> None:
         self._sources = Sources(
             traffic=clients.listener.traffic,
-            refused_connections=clients.listener.refused_connections,
             goal_counters=context.goals.counters,
             queue=context.goals.queue,
             arm=context.whole.arm,

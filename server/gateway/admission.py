@@ -7,7 +7,6 @@ in ``Origin``. A page of another host can have its own name point to the server'
 and is then of one origin with the server for its browser; the name still stands in the ``Host`` header of each request.
 """
 
-import contextlib
 import fcntl
 import logging
 import math
@@ -15,14 +14,13 @@ import re
 import socket
 import struct
 import time
-from collections import Counter, OrderedDict
+from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property, partial
 from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Address
-from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import parse_qs, unquote
 
@@ -44,23 +42,9 @@ log = logging.getLogger("armbridge.gateway")
 # ioctl(2) of netdevice(7): the IPv4 address of an interface.
 _SIOCGIFADDR = 0x8915
 
-# proc(5): one line an address, of 32 digits, index, prefix length, scope and flags, all in hexadecimal, and the name.
-_IPV6_TABLE = Path("/proc/net/if_inet6")
-_GLOBAL_SCOPE = "00"
-_IPV6_FIELDS = 6
-
 
 def host_addresses() -> Sequence[str]:
-    """Return the addresses at which other machines may reach this one: IPv4 first, no loopback or link-local."""
-    lines: list[list[str]] = []
-    # A kernel without IPv6 has no table, and a container may not read it.
-    with contextlib.suppress(OSError):
-        lines = [line.split() for line in _IPV6_TABLE.read_text().splitlines()]
-    found = [fields[0] for fields in lines if len(fields) == _IPV6_FIELDS and fields[3] == _GLOBAL_SCOPE]
-    return [*_ipv4_addresses(), *(str(IPv6Address(bytes.fromhex(digits))) for digits in found)]
-
-
-def _ipv4_addresses() -> list[str]:
+    """Return the IPv4 addresses at which other machines may reach this one: no loopback or link-local."""
     found = []
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
         for _, name in socket.if_nameindex():
@@ -107,7 +91,6 @@ class ConnectionLimiter:
     """Counter of connections."""
 
     def __init__(self, settings: ServerSettings) -> None:
-        self.rejected_count = 0
         self.open_count = 0
         self._settings = settings
         self._max_clients = settings.max_clients
@@ -137,7 +120,6 @@ class ConnectionLimiter:
             known.open_count += 1
             self.open_count += 1
             return ConnectionSlot(None, lambda: self._leave(key, known))
-        self.rejected_count += 1
         if not known.open_count:
             self._remember(key, known)
         if not self._answers.take(now_s):
@@ -307,8 +289,6 @@ class AdmissionPolicy:
         self._own_names = own_names()
         self._allowed_hosts = settings.allowed_hosts
         self._may_connect = partial(may_connect, allowed=settings.allowed_origins, classroom_ports=classroom_ports)
-        # Numbers of refused requests, by reason: host, origin, token, tokens (too many wrong ones).
-        self.refusals: Counter[str] = Counter()
         self._log = LogLimiter()
 
     def check(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
@@ -363,7 +343,7 @@ class AdmissionPolicy:
             return _unauthorized(f"one token is wanted, not {len(presented)}")
         wait = self.auth_throttle.refusal(request.address)
         if wait is not None:
-            self._count_refusal("tokens", request.address, f"{request.address}: {wait}")
+            self._log_refusal("tokens", request.address, f"{request.address}: {wait}")
             retry = {"Retry-After": str(math.ceil(self.auth_throttle.wait_s(request.address)))}
             return HttpResponse.of_text(HTTPStatus.TOO_MANY_REQUESTS, wait, retry)
         token = presented.pop()
@@ -373,16 +353,15 @@ class AdmissionPolicy:
             owner = self._one_time_tokens.reader(token)
         if owner is None:
             self.auth_throttle.record_failure(request.address, token)
-            self._count_refusal("token", request.address, f"{request.address} has shown a token that is nobody's")
+            self._log_refusal("token", request.address, f"{request.address} has shown a token that is nobody's")
             return _unauthorized("this token is nobody's")
         return owner
 
     def _refuse(self, status: HTTPStatus, kind: str, value: str, sentence: str) -> HttpResponse:
-        self._count_refusal(kind, value, sentence)
+        self._log_refusal(kind, value, sentence)
         return HttpResponse.of_text(status, sentence)
 
-    def _count_refusal(self, kind: str, value: str, sentence: str) -> None:
-        self.refusals[kind] += 1
+    def _log_refusal(self, kind: str, value: str, sentence: str) -> None:
         self._log.write(log, logging.WARNING, f"refused: {sentence}", (kind, value))
 
 

@@ -85,7 +85,6 @@ class ClientStatus:
     """
 
     def __init__(self, context: ClientContext) -> None:
-        self.refused = 0
         self._context = context
         self._node = context.node
         self._session = context.session
@@ -97,7 +96,6 @@ class ClientStatus:
         self._refuse(refusal, unasked=refusal.op is None)
 
     def _refuse(self, refusal: Refusal, *, unasked: bool) -> None:
-        self.refused += 1
         text = one_line(refusal.text)
         self._log(logging.WARNING, f"{self._node}: refused: {text}")
         unasked = unasked and self._unasked_errors_left > 0
@@ -107,7 +105,6 @@ class ClientStatus:
 
     def reject(self, operation: Operation, reason: str) -> None:
         """Report an operation that the client may not do; repeated ones are logged once, for they may come fast."""
-        self.refused += 1
         text = one_line(f"{operation.op}: {reason}")
         if text != self._last_rejection:
             self._log(logging.WARNING, f"{self._node}: refused: {text}")

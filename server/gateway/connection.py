@@ -63,7 +63,6 @@ class TrafficCounts(NamedTuple):
     sent_messages: int = 0
     sent_bytes: int = 0
     dropped_messages: int = 0
-    refused_operations: int = 0
 
 
 class Connection:
@@ -113,7 +112,6 @@ class Connection:
             sent_messages=transport.sent_messages,
             sent_bytes=transport.sent_bytes,
             dropped_messages=client.session.dropped,
-            refused_operations=client.status.refused,
         )
 
     async def run(self) -> None:
@@ -283,10 +281,9 @@ class Traffic:
     def counts(self) -> TrafficCounts:
         return _sum([self._ended, *(connection.counts() for connection in self._open)])
 
-    def queued_bytes(self) -> tuple[int, int]:
-        """Return the bytes that wait for all clients, and those for the client with the most."""
-        queued = [connection.queued_bytes for connection in self._open]
-        return sum(queued), max(queued, default=0)
+    def queued_bytes(self) -> int:
+        """Return the bytes that wait for all clients."""
+        return sum(connection.queued_bytes for connection in self._open)
 
 
 def _sum(counts: list[TrafficCounts]) -> TrafficCounts:

@@ -16,6 +16,7 @@ from collections.abc import Awaitable, Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from email.utils import formatdate
 from http import HTTPStatus
+from mimetypes import MimeTypes
 from pathlib import Path, PurePath
 from typing import TypeAlias
 from urllib.parse import parse_qs, unquote
@@ -101,38 +102,26 @@ HOW_TO_BUILD_PAGE = "the page is not built: install Node.js 20.19 or later with 
 
 UNKNOWN_TYPE = "application/octet-stream"
 
-_TEXTS = {
-    ".css": "text/css",
-    ".html": "text/html",
+# Python's own table, as the machine's gets ``.js`` wrong on some systems, with what it lacks.
+_TYPES = MimeTypes()
+for _suffix, _type in {
     ".js": "text/javascript",
     ".mjs": "text/javascript",
     # Browsers show plain text, and save Markdown.
     ".md": "text/plain",
-    ".txt": "text/plain",
-    ".json": "application/json",
     ".map": "application/json",
-    ".webmanifest": "application/manifest+json",
-    ".svg": "image/svg+xml",
+    ".webp": "image/webp",
     ".urdf": "application/xml",
     ".srdf": "application/xml",
-    ".xml": "application/xml",
     ".dae": "model/vnd.collada+xml",
     ".gltf": "model/gltf+json",
+    ".glb": "model/gltf-binary",
+    ".stl": "model/stl",
     ".obj": "model/obj",
     ".mtl": "model/mtl",
-}
-_BINARIES = {
-    ".ico": "image/x-icon",
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".jpeg": "image/jpeg",
-    ".bmp": "image/bmp",
-    ".tif": "image/tiff",
-    ".woff2": "font/woff2",
-    ".wasm": "application/wasm",
-    ".stl": "model/stl",
-    ".glb": "model/gltf-binary",
-}
+}.items():
+    _TYPES.add_type(_type, _suffix)
+_TEXT = re.compile(r"text/.*|.*[/+](json|xml)")
 
 # What has little to gain by another compression.
 _COMPRESSED = frozenset((".png", ".jpg", ".jpeg", ".woff2"))
@@ -206,10 +195,11 @@ class FileCache:
 
 
 def media_type(name: str) -> str:
-    """Return the Content-Type of a file by its suffix; the machine's own table gets ``.js`` wrong on some systems."""
-    suffix = PurePath(name).suffix.lower()
-    text = _TEXTS.get(suffix)
-    return f"{text}; charset=utf-8" if text else _BINARIES.get(suffix, UNKNOWN_TYPE)
+    """Return the Content-Type of a file by its suffix."""
+    found, packed = _TYPES.guess_type(name)
+    if found is None or packed is not None:
+        return UNKNOWN_TYPE
+    return f"{found}; charset=utf-8" if _TEXT.fullmatch(found) else found
 
 
 def page_is_built(directory: Path) -> bool:
@@ -367,14 +357,10 @@ class HttpHandler:
             )
             return HttpResponse.of_failure(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, sentence)
         lengths = headers.get_all("Content-Length")
-        if headers.get_all("Transfer-Encoding"):
-            sentence = "Transfer-Encoding is not supported; send the body as a whole, with Content-Length"
+        if headers.get_all("Transfer-Encoding") or len(lengths) != 1 or not _LENGTH.fullmatch(lengths[0]):
+            got = one_line(shorten(", ".join(lengths) or "none"))
+            sentence = f"the header Content-Length must be one number, without Transfer-Encoding, not {got}"
             return HttpResponse.of_failure(HTTPStatus.LENGTH_REQUIRED, sentence)
-        if not lengths:
-            return HttpResponse.of_failure(HTTPStatus.LENGTH_REQUIRED, "the header Content-Length is missing")
-        if len(lengths) > 1 or not _LENGTH.fullmatch(lengths[0]):
-            sentence = f"the header Content-Length must be one number, not {one_line(shorten(', '.join(lengths)))}"
-            return HttpResponse.of_failure(HTTPStatus.BAD_REQUEST, sentence)
         if int(lengths[0]) > MAX_BODY_BYTES:
             sentence = f"the body has {int(lengths[0])} bytes, the limit is {MAX_BODY_BYTES}"
             return HttpResponse.of_failure(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, sentence)

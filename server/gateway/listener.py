@@ -12,7 +12,7 @@ import socket
 import ssl
 import struct
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -41,10 +41,6 @@ EVERY_ADDRESS = ("0.0.0.0", "::")  # noqa: S104 - compared with, not bound
 
 # Bytes of struct tcp_info (linux/tcp.h), and its member tcpi_unacked.
 TCP_INFO_BYTES, TCPI_UNACKED_AT = 104, 24
-
-CERTIFICATE, KEY = "server.tls_certificate", "server.tls_key"
-
-_LOCKED = "the key has a passphrase, which nobody can enter; `openssl pkey -in KEY -out NEW` takes it off"
 
 
 class Tls:
@@ -80,7 +76,7 @@ class Tls:
         self._log.write(log, logging.WARNING, line, "plain text")
 
     def _read(self) -> ssl.SSLContext:
-        for setting, file in ((CERTIFICATE, self._certificate), (KEY, self._key)):
+        for setting, file in (("server.tls_certificate", self._certificate), ("server.tls_key", self._key)):
             try:
                 file.open("rb").close()
             except OSError as error:
@@ -88,27 +84,15 @@ class Tls:
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         context.set_alpn_protocols(["http/1.1"])
-        asked: list[bool] = []
-
-        def passphrase() -> str:
-            asked.append(True)
-            return ""
-
         try:
-            context.load_cert_chain(self._certificate, self._key, passphrase)
-        except (ssl.SSLError, OSError, ValueError) as error:
-            raise ConfigurationError(self._reason(error, asked_for_passphrase=bool(asked))) from error
+            # Without an empty passphrase OpenSSL would ask for one at the terminal.
+            context.load_cert_chain(self._certificate, self._key, "")
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(
+                f"server.tls_key: {self._key} and the certificate in {self._certificate} cannot be used ({error}): they"
+                " must be PEM, the key of this certificate, and without a passphrase"
+            ) from error
         return context
-
-    def _reason(self, error: Exception, *, asked_for_passphrase: bool) -> str:
-        if asked_for_passphrase:
-            return f"{KEY}: {self._key}: {_LOCKED}"
-        if isinstance(error, ssl.SSLError) and error.reason == "KEY_VALUES_MISMATCH":
-            return f"{KEY}: {self._key} is not the key of the certificate in {self._certificate} ({CERTIFICATE})"
-        for setting, file, kind in ((CERTIFICATE, self._certificate, "CERTIFICATE"), (KEY, self._key, "PRIVATE KEY")):
-            if f"{kind}-----" not in file.read_text(errors="replace"):
-                return f"{setting}: {file} has no {kind} in PEM format"
-        return f"{CERTIFICATE} {self._certificate} and {KEY} {self._key} cannot be used: {error}"
 
 
 def _handshakes(on_plain_text: Callable[[], None]) -> type[ssl.SSLObject]:
@@ -189,9 +173,6 @@ TLS_SHUTDOWN_TIMEOUT_S = 1.0
 
 # Connections that wait to be accepted; a flood of one client's must not keep another's out of the queue.
 BACKLOG = 1024
-
-# Port 0 takes a free one of the first address, which another program may have on the next.
-FREE_PORT_TRIES = 5
 
 # The address is not there on this machine: without IPv6, ``localhost`` is 127.0.0.1 alone.
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
@@ -305,17 +286,13 @@ class Listener:
         listening = [each.getsockname()[0] for each in self._sockets]
         found = [each for each in listening if each not in EVERY_ADDRESS]
         if len(found) < len(listening):
-            found += [each for each in host_addresses() if ":" not in each or "::" in listening]
+            found += host_addresses()
         scheme = "http" if self._tls is None else "https"
         addresses = [each for each in dict.fromkeys(found) if not is_loopback(each)]
         return [f"{scheme}://{f'[{each}]' if ':' in each else each}:{self.port}/" for each in addresses]
 
     def _place(self, port: int) -> str:
         return f"[{self._host}]:{port}" if ":" in self._host else f"{self._host}:{port}"
-
-    def refused_connections(self) -> Mapping[str, int]:
-        """Return the numbers of refused connections and requests by reason: ``limit``, and the admission's reasons."""
-        return {**self.admission.refusals, "limit": self._limiter.rejected_count}
 
     async def bind(self) -> None:
         """Take the port; clients that connect now wait until :meth:`open`.
@@ -413,31 +390,21 @@ async def resolve(host: str, port: int) -> list[Place]:
 
 def listen(places: Sequence[Place], host: str, port: int, option: str = "--port") -> list[socket.socket]:
     """Take a port, 0 for a free one, on every address of this machine, or raise StartError naming ``option``."""
-    for tries_left in reversed(range(FREE_PORT_TRIES)):
-        try:
-            return _listen_on_all(places, port)
-        except OSError as error:
-            if port or error.errno != errno.EADDRINUSE or not tries_left:
-                raise StartError(_reason(host, port, error, option)) from error
-    raise AssertionError("no try was the last")
-
-
-def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
     listening: list[socket.socket] = []
-    missing: OSError | None = None
+    refusal = f"cannot listen on {host}:{port}: it has no address"
     for place in places:
         try:
             listening.append(_listen_on(place, port, alone=len(places) == 1))
         except OSError as error:
+            refusal = _reason(host, port, error, option)
             if error.errno not in _NOT_HERE:
                 for each in listening:
                     each.close()
-                raise
-            missing = error
+                raise StartError(refusal) from error
         else:
             port = listening[0].getsockname()[1]
     if not listening:
-        raise missing or OSError(errno.EADDRNOTAVAIL, "no address")
+        raise StartError(refusal)
     return listening
 
 

@@ -61,23 +61,8 @@ class ServerSettings(SettingsSection):
     """limits of one client."""
 
     @model_validator(mode="after")
-    def _one_client_has_a_part(self) -> ServerSettings:
-        if self.limits.max_queued_bytes > self.max_queued_bytes:
-            raise ValueError(
-                f"limits.max_queued_bytes, {self.limits.max_queued_bytes}, is what one client may have of"
-                f" max_queued_bytes, {self.max_queued_bytes}: it must not be greater"
-            )
-        return self
-
-    @model_validator(mode="after")
     def _key_and_certificate_come_in_pairs(self) -> ServerSettings:
         if (self.tls_certificate is None) != (self.tls_key is None):
             missing = "tls_key" if self.tls_key is None else "tls_certificate"
             raise ValueError(f"tls_certificate and tls_key must be given together; {missing} is missing")
-        return self
-
-    @model_validator(mode="after")
-    def _the_ports_differ(self) -> ServerSettings:
-        if self.tcp_port and self.tcp_port == self.port:
-            raise ValueError(f"tcp_port must differ from port, both are {self.port}")
         return self

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from http import HTTPStatus
 from typing import TYPE_CHECKING
@@ -32,7 +32,6 @@ class Sources:
     """Parts of the server that are monitored; None for those that a server does not have."""
 
     traffic: Traffic | None = None
-    refused_connections: Callable[[], Mapping[str, int]] | None = None
     goal_counters: GoalCounters | None = None
     queue: GoalQueue | None = None
     arm: AnyArm | None = None
@@ -42,13 +41,6 @@ class Sources:
     zenoh: Bridge | None = None
     started: bool = False
     stopping: bool = False
-
-    def children(self) -> Mapping[str, int]:
-        """Return the process id of every child that runs, by the name of its process."""
-        arms = () if self.arm is None else self.arm.pids
-        planners = () if self.planners is None else self.planners.pids
-        pids = {"arm" if len(arms) == 1 else f"arm_{number}": pid for number, pid in enumerate(arms, 1)}
-        return pids | {f"planner_{number}": pid for number, pid in enumerate(planners, 1)}
 
 
 @dataclass(frozen=True)
@@ -61,7 +53,6 @@ class Health:
     live: bool
     ready: bool
     reasons: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
 
     def response(self, *, good: bool) -> HttpResponse:
         status = HTTPStatus.OK if good else HTTPStatus.SERVICE_UNAVAILABLE
@@ -73,7 +64,7 @@ def check_health(sources: Sources) -> Health:
     is_dead = silent and sources.started and not sources.stopping
     dead = (f"the arm process has been silent for more than {ARM_SILENT_S:g} s",) if is_dead else ()
     reasons = dead or tuple(_reasons_not_ready(sources))
-    return Health(not dead, not reasons, reasons, tuple(_warnings(sources)))
+    return Health(not dead, not reasons, reasons)
 
 
 def _reasons_not_ready(sources: Sources) -> Iterator[str]:
@@ -97,12 +88,3 @@ def _reasons_not_ready(sources: Sources) -> Iterator[str]:
             yield "the planners cannot be started"
         elif sources.planners.loaded_count == 0:
             yield "the planners are loading"
-
-
-def _warnings(sources: Sources) -> Iterator[str]:
-    if sources.arm is not None and sources.arm.state.mode is Mode.RELAXED:
-        yield "the arm is relaxed, and has to be enabled before it moves"
-    if sources.recorder is not None and sources.recorder.ended and not sources.stopping:
-        yield "the recording has ended; the log has the reason"
-    if sources.recorder is not None and sources.recorder.dropped:
-        yield "messages are missing in the recording"

@@ -6,34 +6,27 @@ Metrics are Prometheus': counters, and values read from the server's parts and p
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import math
-import os
-import platform
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
 from http import HTTPStatus
-from importlib import metadata
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prometheus_client import (
+    CONTENT_TYPE_LATEST,
     CollectorRegistry,
     Counter,
-    Gauge,
     Histogram,
-    Info,
     ProcessCollector,
     disable_created_metrics,
+    generate_latest,
 )
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
-from prometheus_client.exposition import choose_encoder
 from prometheus_client.registry import Collector
 from websockets.http11 import Request
 
 from robot.faults import FaultCode
-from robot.messages import ArmHealth, JointHealth, Mode
+from robot.messages import ArmHealth, Mode
 from server.execution.goal import Answer
 from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse, Route
@@ -98,22 +91,7 @@ ARM_HEALTH_STALE_S = 5.0
 # summaries, which count since the start.
 STATISTICS = ("median", "p99", "max")
 
-# Metrics of ProcessCollector that are exposed: those that docs/operations.md documents.
-PROCESS_METRICS = (
-    "armbridge_process_resident_memory_bytes",
-    "armbridge_process_open_fds",
-    "armbridge_process_cpu_seconds",
-)
-
-_SERVO_METRICS: tuple[tuple[str, str, Callable[[JointHealth], float]], ...] = (
-    ("armbridge_servo_temperature_celsius", "Temperature of a servo.", lambda servo: servo.temperature_c),
-    ("armbridge_servo_voltage_volts", "Voltage at a servo.", lambda servo: servo.voltage_v),
-    ("armbridge_servo_current_amperes", "Current of a servo's motor, signed.", lambda servo: servo.current_a),
-    ("armbridge_servo_load_ratio", "Share of the motor's full duty, signed.", lambda servo: servo.load),
-    ("armbridge_servo_reply_age_seconds", "Time since a servo's last good reply.", lambda servo: servo.age_s),
-)
-
-# Everything is counted from the server's start, whose time is a metric of its own.
+# Everything is counted from the server's start, whose time is a metric of its process.
 disable_created_metrics()
 
 
@@ -130,15 +108,7 @@ class Metrics(Collector):
             buckets=LOOP_LAG_BUCKETS_S,
             registry=self.registry,
         )
-        started = Gauge("armbridge_start_time_seconds", "When the server started.", registry=self.registry)
-        started.set_to_current_time()
-        build = Info("armbridge_build", "Version of armbridge and of Python.", registry=self.registry)
-        build.info({"version": metadata.version("armbridge"), "python": platform.python_version()})
-
-    def expose(self, accept: str) -> tuple[bytes, str]:
-        """Return the metrics as the header Accept asks, else as Prometheus' text, and their media type."""
-        encode, media_type = choose_encoder(accept)
-        return encode(self.registry), media_type
+        ProcessCollector(namespace="armbridge", registry=self.registry)
 
     def collect(self) -> Iterator[Metric]:
         sources = self._sources
@@ -147,7 +117,6 @@ class Metrics(Collector):
         yield GaugeMetricFamily("armbridge_ready", "Whether /readyz answers 200.", int(health.ready))
         parts: tuple[tuple[Any, Callable[[Any], Iterator[Metric]]], ...] = (
             (sources.traffic, client_metrics),
-            (sources.refused_connections, refusal_metrics),
             (sources.zenoh, zenoh_metrics),
             (sources.goal_counters, GoalCounters.collect),
             (sources.queue, queue_metrics),
@@ -159,7 +128,6 @@ class Metrics(Collector):
         for part, metrics in parts:
             if part is not None:
                 yield from metrics(part)
-        yield from process_metrics({"server": os.getpid(), **sources.children()})
 
 
 def _fresh(health: ArmHealth | None) -> ArmHealth | None:
@@ -187,11 +155,9 @@ def _by_label(
 
 def client_metrics(traffic: Traffic) -> Iterator[Metric]:
     counts = traffic.counts()
-    queued_bytes, most_queued_bytes = traffic.queued_bytes()
     yield GaugeMetricFamily("armbridge_clients", "Clients that are connected.", traffic.clients)
-    yield GaugeMetricFamily("armbridge_clients_queued_bytes", "What waits for all clients to read.", queued_bytes)
     yield GaugeMetricFamily(
-        "armbridge_clients_queued_greatest_bytes", "What waits for the slowest client to read.", most_queued_bytes
+        "armbridge_clients_queued_bytes", "What waits for all clients to read.", traffic.queued_bytes()
     )
     for name, meaning, value in (
         ("armbridge_connections", "Clients that have connected since the start.", traffic.connections),
@@ -204,15 +170,8 @@ def client_metrics(traffic: Traffic) -> Iterator[Metric]:
             "Messages on topics that clients did not get because they read too slowly.",
             counts.dropped_messages,
         ),
-        ("armbridge_refused_operations", "Operations that were not carried out.", counts.refused_operations),
     ):
         yield CounterMetricFamily(name, meaning, value)
-
-
-def refusal_metrics(refused_connections: Callable[[], Mapping[str, int]]) -> Iterator[Metric]:
-    meaning = "Connections and requests that were not let in, by why."
-    refused = refused_connections().items()
-    yield _by_label(CounterMetricFamily, "armbridge_refused_connections", meaning, "reason", refused)
 
 
 def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
@@ -230,16 +189,12 @@ def queue_metrics(queue: GoalQueue) -> Iterator[Metric]:
 
 
 def planner_metrics(planners: Planners) -> Iterator[Metric]:
-    for state, count in (("loaded", planners.loaded_count), ("idle", planners.idle_count)):
-        yield GaugeMetricFamily(f"armbridge_planners_{state}", f"Planner processes that are {state}.", count)
     yield GaugeMetricFamily(
         "armbridge_planners_waiting_requests", "Requests that wait for a planner.", planners.waiting_count
     )
 
 
 def recording_metrics(recorder: Recorder) -> Iterator[Metric]:
-    yield GaugeMetricFamily("armbridge_recording", "Whether messages are recorded.", int(not recorder.ended))
-    yield GaugeMetricFamily("armbridge_recording_waiting_messages", "Messages that wait for the file.", recorder.queued)
     yield CounterMetricFamily(
         "armbridge_recording_dropped_messages", "Messages missing in the recording.", recorder.dropped
     )
@@ -256,7 +211,6 @@ def arm_metrics(arm: AnyArm) -> Iterator[Metric]:
     yield _by_label(GaugeMetricFamily, "armbridge_arm_mode", meaning, "mode", modes)
     meaning = "1 for the fault of the arm, 0 for others."
     yield _by_label(GaugeMetricFamily, "armbridge_arm_fault", meaning, "code", faults)
-    yield GaugeMetricFamily("armbridge_arm_state_age_seconds", "Time since the last state came.", arm.state_age_s)
 
 
 def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
@@ -273,42 +227,14 @@ def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
     yield _statistics(
         "armbridge_arm_loop_lateness_seconds", "Start of the loop's ticks after their deadlines.", health.lateness_s
     )
-    yield GaugeMetricFamily("armbridge_arm_real_time", "Whether the loop has real-time priority.", health.real_time)
-    yield GaugeMetricFamily(
-        "armbridge_arm_real_time_factor",
-        "Seconds of the arm's time that pass in one second; below 1 where a busy machine slows a simulated arm down.",
-        health.real_time_factor,
-    )
-    for name, meaning, value_of in _SERVO_METRICS:
-        values = ((joint.joint, value_of(joint)) for joint in health.joints)
-        measured = ((joint, value) for joint, value in values if not math.isnan(value))
-        yield _by_label(GaugeMetricFamily, name, meaning, "joint", measured)
-    silent = ((joint.joint, joint.silent_cycles) for joint in health.joints)
-    meaning = "Cycles in which a servo did not answer."
-    yield _by_label(CounterMetricFamily, "armbridge_servo_silent_cycles", meaning, "joint", silent)
+    measured = ((each.joint, each.temperature_c) for each in health.joints if not math.isnan(each.temperature_c))
+    name, meaning = "armbridge_servo_temperature_celsius", "Temperature of a servo."
+    yield _by_label(GaugeMetricFamily, name, meaning, "joint", measured)
 
 
 def _statistics(name: str, meaning: str, values_s: tuple[float, float, float]) -> Metric:
     values = zip(STATISTICS, values_s, strict=True)
     return _by_label(GaugeMetricFamily, name, f"{meaning} Over the last second.", "statistic", values)
-
-
-# Processes.
-
-
-def process_metrics(processes: Mapping[str, int]) -> Iterator[Metric]:
-    """Yield the metrics of processes; those that have ended have none."""
-    threads = GaugeMetricFamily("armbridge_process_threads", "Threads.", labels=("process",))
-    families: dict[str, Metric] = {}
-    for name, pid in processes.items():
-        for found in ProcessCollector(namespace="armbridge", pid=partial(int, pid), registry=None).collect():
-            if found.name in PROCESS_METRICS:
-                family = families.setdefault(found.name, Metric(found.name, found.documentation, found.type))
-                family.samples += [sample._replace(labels={"process": name}) for sample in found.samples]
-        # ProcessCollector does not count them.
-        with contextlib.suppress(OSError):
-            threads.add_metric((name,), sum(1 for _ in Path(f"/proc/{pid}/task").iterdir()))
-    yield from (*families.values(), threads)
 
 
 # Often enough to notice anything that blocks the loop, seldom enough to cost nothing.
@@ -319,14 +245,13 @@ WATCHDOG_NOTIFICATIONS = 3.0
 
 
 class Monitor:
-    """Monitor of the server; it measures the lag of the event loop, and keeps systemd's watchdog and status line."""
+    """Monitor of the server; it measures the lag of the event loop, and keeps systemd's watchdog."""
 
     def __init__(self, sources: Sources, notifier: SystemdNotifier, period_s: float = PERIOD_S) -> None:
         self._sources = sources
         self._notifier = notifier
         self._period_s = period_s
         self._watchdog_due_s = 0.0
-        self._status = ""
         self.metrics = Metrics(sources)
         self.routes: Mapping[str, Route] = {
             "healthz": self._on_readyz,
@@ -336,8 +261,7 @@ class Monitor:
         }
 
     async def run(self) -> None:
-        """Check at once, so that systemd knows of the start however quick it is, then regularly, until cancelled."""
-        self.check(time.monotonic())
+        """Check regularly, until cancelled."""
         while True:
             due_s = time.monotonic() + self._period_s
             await asyncio.sleep(self._period_s)
@@ -346,27 +270,20 @@ class Monitor:
             self.check(now_s)
 
     def check(self, now_s: float) -> None:
-        """Notify systemd of changes, and of the server being alive."""
+        """Notify systemd of the server being alive."""
         watchdog_s = self._notifier.watchdog_s
-        health = check_health(self._sources)
-        status = "; ".join(health.reasons or health.warnings) or "ready"
-        if status != self._status:
-            self._status = status
-            self._notifier.notify_status(status)
-        if watchdog_s and health.live and now_s >= self._watchdog_due_s:
+        if watchdog_s and now_s >= self._watchdog_due_s and check_health(self._sources).live:
             self._watchdog_due_s = now_s + watchdog_s / WATCHDOG_NOTIFICATIONS
             self._notifier.notify_watchdog()
 
     def notify_started(self) -> None:
         self._sources.started = True
-        self._notifier.notify_ready("; ".join(check_health(self._sources).reasons) or "ready")
+        self._notifier.notify_ready()
 
     def notify_stopping(self, *, restarts: bool = False) -> None:
         """Note the begin of the stop, and notify systemd, which would end a service that restarts at once."""
         self._sources.stopping = True
-        if restarts:
-            self._notifier.notify_status("starting again")
-        else:
+        if not restarts:
             self._notifier.notify_stopping()
 
     async def _on_readyz(self, _request: Request) -> HttpResponse:
@@ -377,6 +294,5 @@ class Monitor:
         health = check_health(self._sources)
         return health.response(good=health.live)
 
-    async def _on_metrics(self, request: Request) -> HttpResponse:
-        text, media_type = self.metrics.expose(", ".join(request.headers.get_all("Accept")))
-        return HttpResponse.of_data(HTTPStatus.OK, text, media_type)
+    async def _on_metrics(self, _request: Request) -> HttpResponse:
+        return HttpResponse.of_data(HTTPStatus.OK, generate_latest(self.metrics.registry), CONTENT_TYPE_LATEST)

@@ -9,7 +9,6 @@ import re
 import ssl
 import sys
 import time
-import urllib.request
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from importlib import metadata
@@ -17,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from serial.tools import list_ports
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import connect
 
 from robot.logs import without_secrets
 from server.config import Settings
@@ -38,7 +37,6 @@ MAX_FAULT_FILES = 20
 # Of a file that is copied; a robot.toml has a few kilobytes.
 MAX_FILE_BYTES = 1_000_000
 
-README = "README.txt"
 PROBLEMS = "problems.txt"
 
 # Beginning of the members' names, and their content.
@@ -48,7 +46,7 @@ CONTENTS: Mapping[str, str] = {
     "packages.txt": "installed Python packages",
     "ports.json": "serial ports of this machine",
     "arm/": "robot.toml and the calibration in use",
-    "server/": "the running server: health, metrics, the servos' registers and last minutes, and its last log lines",
+    "server/": "the running server: the arm's state, the servos' registers and last minutes, and its last log lines",
     "faults/": "the last minute of log and joints before each of the last faults",
     "bus/": "the servos as they answer on the bus: registers, and the findings of doctor; only read",
     PROBLEMS: "what could not be had, and why",
@@ -123,12 +121,6 @@ class Report:
     def archive(self) -> bytes:
         if self._problems:
             self.add(PROBLEMS, "".join(f"{problem}\n" for problem in self._problems))
-        there = [
-            f"{name}: {content}."
-            for name, content in CONTENTS.items()
-            if any(member.startswith(name) for member in self._members)
-        ]
-        self.add(README, "\n".join(("Report of armbridge, made by armbridge report.", "", *there, "")))
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in self._members.items():
@@ -184,73 +176,54 @@ _TOPICS = {
 }
 
 
-class RunningServer:
-    """The server that the settings describe, if it runs on this machine."""
+def add_server(report: Report, settings: Settings, token: str | None) -> set[Path] | None:
+    """Add what the server that the settings describe answers, if it runs on this machine.
 
-    def __init__(self, settings: Settings, token: str | None) -> None:
-        server = settings.server
-        # An address of all interfaces is none to connect to.
-        host = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}.get(server.host, server.host)  # noqa: S104
-        self.address = f"[{host}]:{server.port}" if ":" in host else f"{host}:{server.port}"
-        self._context: ssl.SSLContext | None = None
-        if server.tls_certificate is not None:
-            # Its certificate may have another name than the address; it is the one in the server's own settings.
-            self._context = ssl.create_default_context(cafile=str(server.tls_certificate))
-            self._context.check_hostname = False
-        self._headers = {} if token is None else {"Authorization": f"Bearer {token}"}
-        self.health = self._health()
-        self.runs = self.health is not None
-
-    def add_to(self, report: Report) -> set[Path]:
-        """Add the server's answers; return the directory of its files about faults, if it names one."""
-        report.add_json("server/health.json", self.health)
-        with report.part("server/metrics.txt"):
-            report.add("server/metrics.txt", self._get("metrics", self._headers))
-        statuses: list[dict[str, Any]] = []
-        with report.part("server/diagnostics.json"), self._connected() as websocket:
-            client, until_s = CallingClient(websocket), time.monotonic() + DIAGNOSTICS_TIMEOUT_S
-            for topic, (_, type_name) in _TOPICS.items():
-                client.subscribe(topic, type_name)
-            with report.part("server/log.txt"):
-                report.add("server/log.txt", client.call(LOG, {})["message"] + "\n")
-            while len(client.messages) < len(_TOPICS) and (left_s := until_s - time.monotonic()) > 0.0:
-                client.receive(left_s)
-            for topic, message in client.messages.items():
-                report.add_json(f"server/{_TOPICS[topic][0]}.json", message)
-            if silent := _TOPICS.keys() - client.messages.keys():
-                report.note(f"server: {', '.join(sorted(silent))} not heard in {DIAGNOSTICS_TIMEOUT_S:g} s")
-            statuses = client.messages.get("/diagnostics", {}).get("status", [])
-            joints = [each["name"].removeprefix(JOINT_PREFIX) for each in statuses[1:]]
-            histories = {joint: client.call(HISTORY, {"joint": joint}) for joint in joints}
-            report.add_json("server/servo_history.json", histories)
-        values = [each for status in statuses for each in status["values"]]
-        return {Path(each["value"]).parent for each in values if each["key"] == "fault_file"}
-
-    def _health(self) -> Any:
-        with contextlib.suppress(OSError, ValueError):
-            health = json.loads(self._get("healthz", {}))
-            return health if isinstance(health, dict) and "live" in health else None
-        return None
-
-    def _get(self, path: str, headers: dict[str, str]) -> str:
-        scheme = "http" if self._context is None else "https"
-        request = urllib.request.Request(f"{scheme}://{self.address}/{path}", headers=headers)  # noqa: S310
-        handler = urllib.request.HTTPSHandler(context=self._context)
-        # No proxy is asked for a server on this machine; an answer of 503 is one as well.
-        opener = urllib.request.OpenerDirector()
-        for each in (urllib.request.HTTPHandler(), handler):
-            opener.add_handler(each)
-        with opener.open(request, timeout=TIMEOUT_S) as answer:
-            return str(answer.read(MAX_ANSWER_BYTES).decode(errors="replace"))
-
-    def _connected(self) -> ClientConnection:
-        scheme = "ws" if self._context is None else "wss"
-        return connect(
-            f"{scheme}://{self.address}/",
-            ssl=self._context,
-            additional_headers=self._headers,
+    Returns the directory of its files about faults, if it names one; None where no server answers. Raises
+    WebSocketException for a server that refuses the token.
+    """
+    server = settings.server
+    # An address of all interfaces is none to connect to.
+    host = {"0.0.0.0": "127.0.0.1", "::": "::1", "": "127.0.0.1"}.get(server.host, server.host)  # noqa: S104
+    address = f"[{host}]:{server.port}" if ":" in host else f"{host}:{server.port}"
+    context: ssl.SSLContext | None = None
+    if server.tls_certificate is not None:
+        # Its certificate may have another name than the address; it is the one in the server's own settings.
+        context = ssl.create_default_context(cafile=str(server.tls_certificate))
+        context.check_hostname = False
+    try:
+        websocket = connect(
+            f"{'ws' if context is None else 'wss'}://{address}/",
+            ssl=context,
+            additional_headers={} if token is None else {"Authorization": f"Bearer {token}"},
             open_timeout=TIMEOUT_S,
             close_timeout=TIMEOUT_S,
             proxy=None,
             max_size=MAX_ANSWER_BYTES,
         )
+    except OSError:
+        report.note(f"server: none answers at {address}")
+        return None
+    with websocket:
+        statuses = _add_answers(report, CallingClient(websocket))
+    values = [each for status in statuses for each in status["values"]]
+    return {Path(each["value"]).parent for each in values if each["key"] == "fault_file"}
+
+
+def _add_answers(report: Report, client: CallingClient) -> list[dict[str, Any]]:
+    """Add the answers of a server; return the statuses of its arm and joints."""
+    until_s = time.monotonic() + DIAGNOSTICS_TIMEOUT_S
+    for topic, (_, type_name) in _TOPICS.items():
+        client.subscribe(topic, type_name)
+    with report.part("server/log.txt"):
+        report.add("server/log.txt", client.call(LOG, {})["message"] + "\n")
+    while len(client.messages) < len(_TOPICS) and (left_s := until_s - time.monotonic()) > 0.0:
+        client.receive(left_s)
+    for topic, message in client.messages.items():
+        report.add_json(f"server/{_TOPICS[topic][0]}.json", message)
+    if silent := _TOPICS.keys() - client.messages.keys():
+        report.note(f"server: {', '.join(sorted(silent))} not heard in {DIAGNOSTICS_TIMEOUT_S:g} s")
+    statuses: list[dict[str, Any]] = client.messages.get("/diagnostics", {}).get("status", [])
+    joints = [each["name"].removeprefix(JOINT_PREFIX) for each in statuses[1:]]
+    report.add_json("server/servo_history.json", {joint: client.call(HISTORY, {"joint": joint}) for joint in joints})
+    return statuses

@@ -1,6 +1,6 @@
 """Condition of the server as ROS topics: ``/diagnostics`` once a second, and the log on ``/rosout``.
 
-Services change the loggers' levels, as ROS 2 nodes have them.
+A service changes the loggers' levels, as ROS 2 nodes have one.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from robot.logs import MAX_CHANGED_LOGGERS, OUR_LOGGER, LoggerLevel, message_of
 from robot.messages import ArmHealth, ArmState, JointHealth, Mode
 from server.arm.interface import status
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, LEVEL_WARN, diagnostic_status, key_values
-from server.graph.permissions import CONFIGURING, LOOKING
+from server.graph.permissions import CONFIGURING
 from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.monitoring")
@@ -190,7 +190,6 @@ LOG_DEPTH = 100
 # A longer burst repeats itself; records that are left out are still in the log itself.
 MAX_WAITING = 1000
 
-GET_LEVELS = "/armbridge/get_logger_levels"
 SET_LEVELS = "/armbridge/set_logger_levels"
 
 # rcl_interfaces/LoggerLevel counts as Python does; 0 leaves the level to the parent logger.
@@ -249,30 +248,15 @@ def log_message(record: logging.LogRecord) -> dict[str, Any]:
     }
 
 
-def offer_level_services(graph: Graph) -> None:
-    node = graph.node(OUR_LOGGER)
-    getting, setting = "rcl_interfaces/srv/GetLoggerLevels", "rcl_interfaces/srv/SetLoggerLevels"
-    node.offer(GET_LEVELS, getting, _get_levels, limits=_limits(f"{getting}_Request.names"), rule=LOOKING)
-    node.offer(SET_LEVELS, setting, _set_levels, limits=_limits(f"{setting}_Request.levels"), rule=CONFIGURING)
-
-
-def _limits(field: str) -> ListLimits:
-    return ListLimits({field: MAX_REQUESTED})
-
-
-def _get_levels(request: dict[str, Any]) -> dict[str, Any]:
-    return {"levels": [{"name": name, "level": _level(name)} for name in request["names"]]}
+def offer_level_service(graph: Graph) -> None:
+    type_name = "rcl_interfaces/srv/SetLoggerLevels"
+    limits = ListLimits({f"{type_name}_Request.levels": MAX_REQUESTED})
+    graph.node(OUR_LOGGER).offer(SET_LEVELS, type_name, _set_levels, limits=limits, rule=CONFIGURING)
 
 
 def _set_levels(request: dict[str, Any]) -> dict[str, Any]:
     reasons = [_change(each["name"], each["level"]) for each in request["levels"]]
     return {"results": [{"successful": not reason, "reason": reason} for reason in reasons]}
-
-
-def _level(name: str) -> int:
-    # A request for the level of a logger must not create it.
-    exists = _OURS.fullmatch(name) and name in logging.root.manager.loggerDict
-    return logging.getLogger(name).getEffectiveLevel() if exists else 0
 
 
 def _change(name: str, level: int) -> str:

@@ -34,28 +34,25 @@ class SystemdNotifier:
         watched = watchdog_us.isdecimal() and watchdog_pid in ("", str(os.getpid() if pid is None else pid))
         return cls(address, int(watchdog_us) / _US_PER_S if watched else 0.0)
 
-    def notify_ready(self, status: str) -> None:
-        self._send("READY=1", f"STATUS={status}")
-
-    def notify_status(self, status: str) -> None:
-        self._send(f"STATUS={status}")
+    def notify_ready(self) -> None:
+        self._send("READY=1")
 
     def notify_watchdog(self) -> None:
         self._send("WATCHDOG=1")
 
     def notify_stopping(self) -> None:
-        self._send("STOPPING=1", "STATUS=stopping")
+        self._send("STOPPING=1")
 
     def close(self) -> None:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
-    def _send(self, *assignments: str) -> None:
+    def _send(self, assignment: str) -> None:
         if self._socket is None:
             return
         try:
-            self._socket.send("\n".join(each.replace("\n", " ") for each in assignments).encode())
+            self._socket.send(assignment.encode())
         except OSError as error:
             log.debug("systemd cannot be notified: %s", error)
 

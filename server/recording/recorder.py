@@ -88,10 +88,6 @@ class Recorder:
         self._thread.start()
 
     @property
-    def queued(self) -> int:
-        return len(self._queue)
-
-    @property
     def ended(self) -> bool:
         """True once nothing more is recorded, after an error too."""
         return self._ended.is_set()

@@ -5,13 +5,12 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import psutil
 
 from harness.server import FAST, ROOT
-from harness.waiting import TIMEOUT_S
+from harness.waiting import TIMEOUT_S, until_ready
 
 
 class Room:
@@ -24,14 +23,8 @@ class Room:
             [*command, "--data", str(folder), *options],
             cwd=ROOT,
             env={**os.environ, "PYTHONPATH": str(ROOT), **FAST},
-            stderr=subprocess.PIPE,
-            text=True,
         )
-        assert self.process.stderr is not None
-        overdue = threading.Timer(TIMEOUT_S, self.process.kill)
-        overdue.start()
-        assert any("the classroom is ready" in line for line in self.process.stderr)
-        overdue.cancel()
+        until_ready(folder / "students.csv")
 
     @property
     def places(self) -> dict[str, tuple[str, str]]:
@@ -58,7 +51,4 @@ class Room:
     def end(self) -> int:
         """Press Ctrl-C; returns the exit code."""
         self.process.send_signal(signal.SIGINT)
-        code = self.process.wait(TIMEOUT_S)
-        if self.process.stderr is not None:
-            self.process.stderr.close()
-        return code
+        return self.process.wait(TIMEOUT_S)

@@ -40,7 +40,7 @@ def test_students_by_name_have_physics_and_the_others_none(tmp_path: Path, monke
     served: list[str] = []
     module = "server.classroom"
     monkeypatch.setattr(f"{module}.serve", lambda settings, *_: served.append(settings.simulation.kind))
-    monkeypatch.setattr(f"{module}.supervise", lambda members, _check: [member.run() for member in members[1:]])
+    monkeypatch.setattr(f"{module}.supervise", lambda members: [member.run() for member in members[1:]])
     run_classroom(Settings.model_validate({"server": {"port": 0}}), 3, 2, tmp_path, ["student02"])
     assert served == ["light", "physics", "light"]
 

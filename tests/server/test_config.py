@@ -69,12 +69,6 @@ def test_a_certificate_needs_its_key_and_the_other_way_round(given: str, missing
         ServerSettings.model_validate({given: "x.pem"})
 
 
-def test_the_port_of_raw_tcp_is_another_one() -> None:
-    with pytest.raises(ConfigurationError, match="tcp_port must differ from port, both are 9090"):
-        load(None, {"server": {"tcp_port": 9090}})
-    assert load(None, {"server": {"port": 0, "tcp_port": 0}}).server.tcp_port == 0
-
-
 def refusal_of(**arms: dict[str, object]) -> str:
     with pytest.raises(ConfigurationError) as refused:
         load(None, {"arms": arms})

@@ -1,5 +1,4 @@
 import asyncio
-import logging
 import os
 import pty
 import signal
@@ -8,7 +7,6 @@ from collections.abc import Awaitable, Callable
 import pytest
 
 from harness.waiting import until
-from robot.logs import OUR_LOGGER
 from server import lifecycle
 from server.errors import StartError
 from server.lifecycle import RESERVED_S, Part, allowance_s, on_hangup, start_in_order, stop_in_reverse
@@ -157,12 +155,3 @@ async def test_a_hangup_ends_a_program_whose_terminal_is_gone_and_has_others_rea
     assert await told.after_hangup() == [call]
     for descriptor in (theirs,) if gone else (ours, theirs):
         os.close(descriptor)
-
-
-@pytest.mark.usefixtures("levels_are_put_back")
-def test_the_signal_begins_and_ends_debugging(caplog: pytest.LogCaptureFixture) -> None:
-    lifecycle.toggle_debug()
-    assert lifecycle.log.isEnabledFor(logging.DEBUG)
-    lifecycle.toggle_debug()
-    assert logging.getLogger(OUR_LOGGER).level == logging.NOTSET
-    assert ["debug now" in record.message for record in caplog.records] == [True, False]

@@ -7,7 +7,7 @@ import pytest
 from protocol.dialect import Dialect
 from server import rosapi
 from server.errors import ServiceError
-from server.graph.permissions import NameFilter, Node
+from server.graph.permissions import Node
 from server.graph.services import Response
 from server.graph.topics import Graph, Subscriber
 from server.rosapi import DONE, MAX_PARAMETER_BYTES, Parameters, Request, RosApi
@@ -283,15 +283,3 @@ def test_all_parameters_together_are_bounded_in_bytes_and_a_deleted_one_makes_ro
     kept.ask("delete_param", name="/a")
     kept.ask("set_param", name="/b", value=half)
     assert kept.ask("get_param_names") == {"names": ["/b"]}
-
-
-def test_parameters_that_fit_a_pattern_are_open_and_others_are_refused_with_the_setting_to_change() -> None:
-    some = Kept(NameFilter("access.params_glob", ["/open/*"]))
-    some.keep("/robot_description", '"<robot/>"')
-    some.ask("set_param", name="/open/speed", value="1")
-    assert some.ask("get_param", name="/open/speed", default_value="")["value"] == "1"
-    for service in ("get_param", "set_param", "has_param", "delete_param", "search_param"):
-        for name in ("/robot_description", "//open/speed", "open/speed"):
-            with pytest.raises(ServiceError, match=r"fits no pattern of access\.params_glob"):
-                some.ask(service, name=name, value="0", default_value="")
-    assert some.ask("get_param_names") == {"names": ["/open/speed"]}

@@ -32,7 +32,7 @@ from armbridge_client.connection import Address, Connection
 from armbridge_client.messages import TYPES, String, TriggerRequest
 from harness.server import FAST, RunningServer, free_port
 from harness.waiting import until
-from server.access.certificates import CertificateFiles, ensure_certificate
+from server.access.certificates import CertificateFiles, issue_certificate
 
 
 class ScriptedServer:
@@ -234,7 +234,7 @@ def test_a_server_that_dies_during_a_motion_is_a_lost_connection() -> None:
 
 async def test_tls_sends_nothing_to_a_server_whose_certificate_is_unknown(tmp_path: Path) -> None:
     files = CertificateFiles(tmp_path)
-    ensure_certificate(files, ["127.0.0.1"])
+    issue_certificate(files, ["127.0.0.1"])
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(files.certificate, files.key)
     async with scripted(lambda _: identity("0.2.0"), context) as server:

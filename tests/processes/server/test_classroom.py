@@ -42,7 +42,7 @@ def be_deaf():
 import server.classroom as module
 module.END_TIMEOUT_S = {end_timeout_s}
 members = [Member("one", wait, Path({folder!r}, "one.log")), Member("two", {second}, Path({folder!r}, "two.log"))]
-supervise(members, lambda: None)
+supervise(members)
 print("done")
 """
 

@@ -191,8 +191,5 @@ async def test_a_real_client_is_counted_by_what_it_says_and_hears(graph: Graph) 
         assert (listener.traffic.clients, counts.received_messages, counts.sent_messages) == (1, 1, 3)
         assert counts.sent_bytes == sent_bytes
         assert len(SUBSCRIBE) < counts.received_bytes < len(SUBSCRIBE) + 1000
-        assert (counts.dropped_messages, counts.refused_operations, listener.traffic.queued_bytes()) == (0, 0, (0, 0))
-        await client.send("{")
-        await say(client, "publish", topic="/t", msg={"data": 1})
-        await until(lambda: listener.traffic.counts().refused_operations == 2)
+        assert (counts.dropped_messages, listener.traffic.queued_bytes()) == (0, 0)
     assert (listener.traffic.clients, listener.traffic.counts().sent_messages) == (0, 3)

@@ -99,7 +99,6 @@ def test_a_flood_gets_a_few_answers_a_second() -> None:
     acquire(limiter)
     for now_s in (0.0, 1.0):
         assert sum(limiter.acquire(HERE, now_s) is not None for _ in range(1000)) == ANSWERS_PER_S
-    assert limiter.rejected_count == 2000
 
 
 def test_addresses_that_have_gone_are_forgotten_in_the_end_and_a_flood_is_not(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -168,8 +168,9 @@ async def test_a_mistake_is_one_sentence_that_names_it(door: Door) -> None:
         ({"joints": {"name": ["a"] * 40_000}}, (), 413, f"the limit is {MAX_BODY_BYTES}"),
         (READY, ("Content-Type: text/plain",), 415, "must be application/json, not text/plain"),
         (READY, ("Content-Type: ",), 415, "must be application/json, not none"),
-        (READY, ("Content-Length: ",), 411, "the header Content-Length is missing"),
-        (READY, ("Content-Length: -1",), 400, "the header Content-Length must be one number, not -1"),
+        (READY, ("Content-Length: ",), 411, "Content-Length must be one number, without Transfer-Encoding, not none"),
+        (READY, ("Content-Length: -1",), 411, "without Transfer-Encoding, not -1"),
+        (READY, ("Transfer-Encoding: chunked",), 411, "without Transfer-Encoding, not "),
     ):
         got, answer = await door.post(body, *lines)
         assert (got, answer["success"]) == (status, False)

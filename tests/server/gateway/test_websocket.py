@@ -535,18 +535,6 @@ async def test_a_client_that_has_said_goodbye_and_stays_is_disconnected() -> Non
         await until_empty(listener)
 
 
-async def test_a_refused_request_is_counted_once() -> None:
-    async with listening(access=Access(TOKENS)) as listener:
-        for asked, answer, reason in (
-            (request(*UPGRADE, "Origin: http://elsewhere.example"), 403, "origin"),
-            (request(*UPGRADE, host="elsewhere.example"), 421, "host"),
-            (request(*UPGRADE, path="/?token=wrong"), 401, "token"),
-        ):
-            assert status(await exchange(listener.port, asked)) == answer
-            assert listener.refused_connections()[reason] == 1
-        assert listener.refused_connections() == {"limit": 0, "origin": 1, "host": 1, "token": 1}
-
-
 async def test_a_client_that_has_left_is_freed_without_the_garbage_collector() -> None:
     async with listening() as listener:
         gc.collect()

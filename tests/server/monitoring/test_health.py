@@ -19,10 +19,10 @@ from robot.messages import Mode
 from server.config import Settings
 from server.monitoring import report as report_module
 from server.monitoring.health import ARM_SILENT_S, ARM_STALE_S, Sources, check_health
-from server.monitoring.report import PROBLEMS, README, Redactor, Report, add_faults, add_machine, add_settings
+from server.monitoring.report import PROBLEMS, Redactor, Report, add_faults, add_machine, add_settings
 from server.monitoring.systemd import SystemdNotifier
 from tests.server.monitoring import watched_parts
-from tests.server.monitoring.watched_parts import WatchedArm, WatchedPlanners, WatchedRecorder, arm_state
+from tests.server.monitoring.watched_parts import WatchedArm, WatchedPlanners, arm_state
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_a_server_at_work_is_live_and_ready_and_has_nothing_to_say(sources: Sour
     # The second arm is simulated, and starved by a busy machine.
     for arm in (sources.arm, WatchedArm(arm_state(), 4.9, state_max_age_s=5.0)):
         health = check_health(replace(sources, arm=arm))
-        assert (health.live, health.ready, health.reasons, health.warnings) == (True, True, (), ())
+        assert (health.live, health.ready, health.reasons) == (True, True, ())
 
 
 NOT_READY: list[tuple[dict[str, Any], str]] = [
@@ -51,19 +51,12 @@ NOT_READY: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-def test_an_obstacle_to_goals_is_a_reason_to_be_unready_and_a_harmless_condition_a_warning(sources: Sources) -> None:
+def test_an_obstacle_to_goals_is_a_reason_to_be_unready(sources: Sources) -> None:
     for changes, reason in NOT_READY:
         health = check_health(replace(sources, **changes))
         assert (health.live, health.ready, health.reasons) == (True, False, (reason,)), changes
-    cases: list[tuple[dict[str, Any], str]] = [
-        ({"arm": WatchedArm(arm_state(Mode.RELAXED))}, "relaxed"),
-        ({"recorder": WatchedRecorder(ended=True)}, "the recording has ended"),
-        ({"recorder": WatchedRecorder(dropped=1)}, "messages are missing"),
-    ]
-    for changes, words in cases:
-        health = check_health(replace(sources, **changes))
-        (warning,) = health.warnings
-        assert (health.ready, words in warning) == (True, True), warning
+    # A relaxed arm is there for those who enable it.
+    assert check_health(replace(sources, arm=WatchedArm(arm_state(Mode.RELAXED)))).ready
 
 
 def test_a_long_silence_of_the_arm_process_makes_the_server_dead_unless_it_starts_or_stops(sources: Sources) -> None:
@@ -78,18 +71,11 @@ def test_a_long_silence_of_the_arm_process_makes_the_server_dead_unless_it_start
 def test_the_answer_over_http_has_the_status_for_monitors_and_no_device_file_or_address(sources: Sources) -> None:
     health = check_health(replace(sources, started=False))
     assert [int(health.response(good=good).status) for good in (True, False)] == [200, 503]
-    told = {"live": True, "ready": False, "reasons": ["the server is starting"], "warnings": []}
+    told = {"live": True, "ready": False, "reasons": ["the server is starting"]}
     assert json.loads(health.response(good=False).body) == told
     sources.arm = WatchedArm(arm_state(Mode.DISCONNECTED, FaultCode.BUS_LOST, "no /dev/ttySECRET"))
     sources.planners = WatchedPlanners(load_failure="cannot read /home/SECRET")
     assert b"SECRET" not in check_health(sources).response(good=False).body
-
-
-def test_children_are_those_that_run() -> None:
-    assert Sources().children() == {}
-    for pids, arms in (((11,), {"arm": 11}), ((), {}), ((11, 12), {"arm_1": 11, "arm_2": 12})):
-        sources = Sources(arm=WatchedArm(arm_state(), pids=pids), planners=WatchedPlanners(pids=(21, 22)))
-        assert sources.children() == {**arms, "planner_1": 21, "planner_2": 22}
 
 
 TOKEN = "one-0123456789abcdef"
@@ -131,7 +117,7 @@ def test_secrets_are_blotted_out() -> None:
     assert {text: redactor.text(text) for text in SECRETS} == SECRETS
 
 
-def test_every_member_is_without_secrets_and_listed(report: Report, tmp_path: Path) -> None:
+def test_every_member_is_without_secrets(report: Report, tmp_path: Path) -> None:
     file = tmp_path / "robot.toml"
     file.write_text(f"# {TOKEN}")
     report.add("server/log.txt", TOKEN)
@@ -139,10 +125,8 @@ def test_every_member_is_without_secrets_and_listed(report: Report, tmp_path: Pa
     report.add_file("arm/robot.toml", file)
     report.note(TOKEN)
     told = members(report)
-    assert set(told) == {"server/log.txt", "settings.json", "arm/robot.toml", PROBLEMS, README}
+    assert set(told) == {"server/log.txt", "settings.json", "arm/robot.toml", PROBLEMS}
     assert TOKEN not in "".join(told.values())
-    listed = [line.partition(":")[0] for line in told[README].splitlines()[2:] if line]
-    assert listed == ["settings.json", "arm/", "server/", PROBLEMS]
 
 
 def test_settings_have_neither_tokens_nor_the_names_of_their_owners(report: Report) -> None:
@@ -182,7 +166,7 @@ def test_the_newest_fault_files_are_included(report: Report, tmp_path: Path, mon
     told = members(report)
     assert [name for name in told if name.startswith("faults/")] == ["faults/fault-3.jsonl", "faults/fault-2.jsonl"]
     add_faults(none := Report(Redactor([], HOME)), tmp_path / "none")
-    assert set(members(none)) == {README}
+    assert members(none) == {}
 
 
 class Systemd:
@@ -213,34 +197,26 @@ def systemd(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Systemd]
 
 
 def test_systemd_gets_notifications_in_its_format(systemd: Systemd, notifier: SystemdNotifier) -> None:
-    # A status cannot smuggle in another assignment.
-    notifier.notify_status("starting\nREADY=1")
-    notifier.notify_ready("ready")
+    notifier.notify_ready()
     notifier.notify_watchdog()
     notifier.notify_stopping()
-    assert [systemd.heard() for _ in range(4)] == [
-        ["STATUS=starting READY=1"],
-        ["READY=1", "STATUS=ready"],
-        ["WATCHDOG=1"],
-        ["STOPPING=1", "STATUS=stopping"],
-    ]
+    assert [systemd.heard() for _ in range(3)] == [["READY=1"], ["WATCHDOG=1"], ["STOPPING=1"]]
 
 
 def test_one_that_does_not_read_holds_nobody_up(notifier: SystemdNotifier) -> None:
     for _ in range(5000):
         notifier.notify_watchdog()
-        notifier.notify_status("there is news")
     notifier.close()
     notifier.notify_watchdog()
 
 
 def test_without_one_nothing_is_told_and_a_lost_one_is_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     notifier = SystemdNotifier.from_environment({}, 7)
-    notifier.notify_ready("ready")
+    notifier.notify_ready()
     assert notifier.watchdog_s == 0.0
     caplog.set_level(logging.WARNING)
     notifier = SystemdNotifier(str(tmp_path / "nobody"))
-    notifier.notify_ready("ready")
+    notifier.notify_ready()
     assert "NOTIFY_SOCKET" in caplog.text
 
 

@@ -1,6 +1,5 @@
 """Parts of a server as operations look at them, made by hand."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,24 +19,19 @@ NOW_S = 1000.0
 class _WatchedArm:
     state: ArmState
     state_age_s: float = 0.01
-    pids: Sequence[int] = ()
     state_max_age_s: float = 1.0
 
 
 @dataclass
 class _WatchedPlanners:
     load_failure: str | None = None
-    pids: Sequence[int] = ()
     loaded_count: int = 2
-    idle_count: int = 1
     waiting_count: int = 3
 
 
 @dataclass
 class _WatchedRecorder:
     dropped: int = 0
-    queued: int = 0
-    ended: bool = False
 
 
 @dataclass
@@ -75,7 +69,6 @@ def watched_sources() -> Sources:
     """Every part of a server at work."""
     return Sources(
         Traffic(),
-        lambda: {"limit": 0},
         GoalCounters(),
         WatchedQueue(),
         WatchedArm(arm_state()),

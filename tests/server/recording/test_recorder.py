@@ -66,9 +66,9 @@ async def test_times_are_those_of_a_steady_clock_or_of_the_simulation(
     recorder = Recorder(graph, run, RecordingSettings(), clock=clock)
     recorder.start()
     talk(graph, 2)
-    assert (recorder.ended, recorder.queued) == (False, 2)
+    assert not recorder.ended
     await recorder.close()
-    assert (recorder.ended, recorder.queued) == (True, 0)
+    assert recorder.ended
     assert [each.log_time_ns for each in recorded_messages(run)] == [1_500_000_000, 2_500_000_000]
 
 
@@ -143,7 +143,7 @@ async def test_a_disk_that_stands_still_costs_messages_and_not_memory(
     recorder = recording(1, BlockedFiles)
     assert BlockedFiles.reached.wait(TIMEOUT_S)
     talk(graph, 10)
-    assert (recorder.dropped, recorder.queued) == (7, 3)
+    assert recorder.dropped == 7
     BlockedFiles.go_on.set()
     await recorder.close()
     assert "7 messages were dropped" in caplog.text

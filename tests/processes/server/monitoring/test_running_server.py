@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from harness.server import RunningServer as Server
+from harness.server import RunningServer
 from harness.waiting import TIMEOUT_S, wait_until
 from server import cli
 from server.commands.terminal import ExitCode
 from server.config import Settings
 from server.monitoring import report
-from server.monitoring.report import Redactor, Report, RunningServer
+from server.monitoring.report import Redactor, Report, add_server
 from tests.processes.server.commands.test_commands import members
 
 TOKEN = "one-0123456789abcdef"
@@ -31,7 +31,7 @@ def patience() -> Iterator[None]:
 def port(patience: None) -> Iterator[int]:
     """The port of a server with tokens, whose servos have told their health."""
     tokens = {"ARMBRIDGE_ACCESS__TOKEN": TOKEN, "ARMBRIDGE_ACCESS__VIEW_TOKENS": json.dumps({"screen": VIEW_TOKEN})}
-    with Server(settings=tokens) as running:
+    with RunningServer(settings=tokens) as running:
         # Health comes once a second on the arm's clock, which is slow on a busy machine.
         wait_until(lambda: "arm: elbow_flex" in told_by(running.port, TOKEN)["server/diagnostics.json"])
         yield running.port
@@ -40,7 +40,8 @@ def port(patience: None) -> Iterator[int]:
 def told_by(port: int, token: str | None) -> dict[str, str]:
     """The members that a server adds to a report of somebody."""
     told = Report(Redactor([], Path("/nobody")))
-    RunningServer(settings(port), token).add_to(told)
+    with told.part("server"):
+        add_server(told, settings(port), token)
     return members(io.BytesIO(told.archive()))
 
 
@@ -48,10 +49,8 @@ def settings(port: int) -> Settings:
     return Settings(server={"port": port, "host": "0.0.0.0"})
 
 
-def test_an_administrator_gets_health_metrics_diagnostics_and_log(port: int) -> None:
+def test_an_administrator_gets_state_diagnostics_and_log(port: int) -> None:
     told = told_by(port, TOKEN)
-    assert json.loads(told["server/health.json"])["live"]
-    assert "armbridge_arm_mode" in told["server/metrics.txt"]
     assert "armbridge is ready" in told["server/log.txt"]
     assert "robot.control.loop armbridge.arm: " in told["server/log.txt"]
     assert json.loads(told["server/arm_state.json"])["name"] == "arm"
@@ -61,16 +60,14 @@ def test_an_administrator_gets_health_metrics_diagnostics_and_log(port: int) -> 
     assert "problems.txt" not in told
 
 
-def test_a_viewer_gets_all_but_the_log_and_without_a_token_there_is_the_health_alone(port: int) -> None:
+def test_a_viewer_gets_all_but_the_log_and_a_wrong_token_nothing(port: int) -> None:
     told = told_by(port, VIEW_TOKEN)
     assert "server/diagnostics.json" in told
     assert "server/log.txt" not in told
     assert "server/log.txt: service /armbridge/last_log_lines: needs the role admin" in told["problems.txt"]
-    told = told_by(port, None)
-    assert [name for name in told if name.startswith("server/")] == ["server/health.json", "server/metrics.txt"]
-    assert "armbridge_" not in told["server/metrics.txt"]
-    assert RunningServer(settings(port), None).add_to(Report(Redactor([], Path("/nobody")))) == set()
-    assert "server/diagnostics.json" in told["problems.txt"]
+    told = told_by(port, "three-0123456789abcdef")
+    assert set(told) == {"problems.txt"}
+    assert "server: server rejected WebSocket connection: HTTP 401" in told["problems.txt"]
 
 
 def test_a_report_asks_a_running_server_instead_of_the_bus(
@@ -81,7 +78,7 @@ def test_a_report_asks_a_running_server_instead_of_the_bus(
     options = ["--output", str(output), "--port", str(port), "--serial", "/dev/none"]
     assert cli.main(["report", *options]) == ExitCode.DONE
     told = members(output)
-    assert {"server/log.txt", "server/diagnostics.json", "server/metrics.txt"} <= told.keys()
+    assert {"server/log.txt", "server/diagnostics.json"} <= told.keys()
     assert not [name for name in told if name.startswith("bus/")]
     assert "problems.txt" not in told
     assert TOKEN not in "".join(told.values())

@@ -94,7 +94,6 @@ class NamedStates(Face[AsyncNamedStates]):
 
     all = blocking(AsyncNamedStates.all)
     save = blocking(AsyncNamedStates.save)
-    rename = blocking(AsyncNamedStates.rename)
     delete = blocking(AsyncNamedStates.delete)
 
 

@@ -233,7 +233,7 @@ class GoalSettings(SettingsSection):
     on_disconnect: Literal["finish", "stop"] = "finish"
     """goals on actions of a client that leaves; its URL may choose, as in ``?on_disconnect=stop``."""
     confirm: bool = False
-    """plan, show, and wait for a message on /moveit_goal_confirm before the motion."""
+    """plan, show, and wait for the goal's id on /moveit_goal_approve before the motion."""
     # The goals behind it wait as long.
     confirm_timeout_s: float = Field(default=120.0, ge=1.0, le=3600.0)
     """a goal that is not confirmed within this time is answered TIMED_OUT [s]."""

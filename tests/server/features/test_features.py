@@ -234,7 +234,8 @@ async def test_a_saved_state_is_a_named_goal_and_moves_after_its_confirmation(cl
         await client.until(STATUS, lambda all_: values_of(all_[-1])["state"] == "planned")
         await client.until("/display_planned_path", lambda shown: abs(last_pan_rad(shown[-1]) - 0.3) < ARRIVED_RAD)
         assert abs(client.topics["/joint_states"][-1]["position"][0]) < ARRIVED_RAD
-        await client.goal("/moveit_goal_confirm", "std_msgs/Bool", {"data": True})
+        waiting = client.topics[STATUS][-1]["hardware_id"]
+        await client.goal("/moveit_goal_approve", "std_msgs/String", {"data": waiting})
         assert (await finished(client, 3))["val"] == 1
         assert abs(client.topics["/joint_states"][-1]["position"][0] - 0.3) < ARRIVED_RAD
     finally:

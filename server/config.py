@@ -92,10 +92,7 @@ class ArmSettings(SettingsSection):
     ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
     """time constant with which the joints of an ideal arm follow their goals [s]."""
     joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
-    """rate of ``/joint_states`` [Hz]."""
-    # What a screen shows at most.
-    tf_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
-    """rate of ``/tf``, at most the rate of the joint states [Hz]."""
+    """rate of ``/joint_states`` and ``/tf`` [Hz]."""
     speed_limit: float = Field(default=1.0, ge=MIN_SPEED_LIMIT, le=1.0)
     """share of the joints' velocity limits that no motion exceeds; ``/arm/set_speed_limit`` changes it."""
     unverified_speed_limit: float = Field(default=0.25, ge=MIN_SPEED_LIMIT, le=1.0)

@@ -28,7 +28,7 @@ from server.execution.goal import TimeLimits
 from server.features.arms import ArmControl, with_calibration
 from server.features.clients import PATH
 from server.features.context import ServerContext, context_of
-from server.features.moveit import MoveGroup, PlanningScene, slow_to_brake
+from server.features.moveit import PlanningScene, slow_to_brake
 from server.graph.permissions import Role
 from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
@@ -171,7 +171,7 @@ async def test_goals_follow_one_another_and_a_planned_trajectory_is_executed_and
 
 
 async def test_settings_reach_their_parts() -> None:
-    arm = ArmSettings(tf_rate_hz=10.0, guards=GuardSettings(gripper_torque_limit=0.3))
+    arm = ArmSettings(guards=GuardSettings(gripper_torque_limit=0.3))
     times = {"allowed_execution_duration_scaling": 3.0, "allowed_goal_duration_margin": 4.0}
     parameters = MoveItParameters(**times, publish_planning_scene_hz=2.0)
     context = context_for(so101(), Settings(arm=arm, moveit=parameters, goals=GoalSettings(max_paused_s=5.0)))
@@ -179,7 +179,6 @@ async def test_settings_reach_their_parts() -> None:
     assert gripper is not None
     assert context.goals.executors.time_limits == limits
     assert (gripper._velocity_scaling, gripper._torque_limit, gripper._time_limits) == (0.3, 0.3, limits)
-    assert MoveGroup(context)._transforms._period_s == 0.1
     assert PlanningScene(context)._interface._publisher._period_s == 0.5
 
 

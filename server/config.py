@@ -91,7 +91,7 @@ class ArmSettings(SettingsSection):
     """folders with the packages of package://, searched ahead of ROS_PACKAGE_PATH."""
     ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
     """time constant with which the joints of an ideal arm follow their goals [s]."""
-    joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
+    joint_state_rate_hz: float = Field(default=50.0, ge=10.0, le=100.0)
     """rate of ``/joint_states`` and ``/tf`` [Hz]."""
     speed_limit: float = Field(default=1.0, ge=MIN_SPEED_LIMIT, le=1.0)
     """share of the joints' velocity limits that no motion exceeds; ``/arm/set_speed_limit`` changes it."""

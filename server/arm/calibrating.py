@@ -20,9 +20,6 @@ from server.arm.setup import Description
 # Names that lerobot's ids have, and that lead to no other folder.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
-# Slower states would lose count of a joint that a hand turns across the seam.
-LEAST_STATE_RATE_HZ = 10.0
-
 WRITING_TIMEOUT_S = 5.0
 
 # Name of the register among a joint's settings.
@@ -36,15 +33,6 @@ class Recalibrated:
     arm: str
     file: Path
     ended: Ended
-
-
-def check_state_rate(rate_hz: float) -> None:
-    """Check that the arm's states come often enough to follow a hand."""
-    if rate_hz < LEAST_STATE_RATE_HZ:
-        raise OrderRefused(
-            f"arm.joint_state_rate_hz must be at least {LEAST_STATE_RATE_HZ:g} Hz to calibrate, not {rate_hz:g}: a "
-            "joint that is turned quickly could not be followed"
-        )
 
 
 class CalibrationProcedure:

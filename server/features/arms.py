@@ -12,7 +12,7 @@ from robot.messages import ArmHealth, ArmState
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.control_lease import ControlServices
 from server.arm.arms import read_now
-from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
+from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file
 from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
 from server.arm.interface import TOPIC as JOINT_STATES
 from server.arm.interface import ArmStateTopics, offer_arm_services, offer_pace
@@ -125,7 +125,6 @@ class CommissioningOfArms(Feature):
         if procedure == "calibrate":
             if self._shared_calibration:
                 raise OrderRefused("the arms of a classroom have one calibration together, which is not changed here")
-            check_state_rate(served.settings.joint_state_rate_hz)
             file = calibration_file(name, served.description)
             return CalibrationProcedure(arm, served, file, context.stop, self._start_again)
         if procedure == "verify":

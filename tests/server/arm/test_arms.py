@@ -9,13 +9,13 @@ import pytest
 
 from harness.clients import values_of
 from robot.calibration import save
-from robot.errors import CalibrationError, OrderRefused
+from robot.errors import CalibrationError
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import IdealConfig
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from robot.stop_epochs import STOP_EPOCHS
 from server.arm.arms import JoinedBeat, joined_robot, read_arms, without_prefix
-from server.arm.calibrating import LEAST_STATE_RATE_HZ, calibration_file, check_state_rate
+from server.arm.calibrating import calibration_file
 from server.arm.interface import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, states_are_observed
 from server.arm.setup import Description
 from server.config import ArmSettings, Settings
@@ -114,12 +114,6 @@ def test_a_name_leads_nowhere_else_and_one_is_needed_that_lerobot_has_a_place_fo
     ):
         with pytest.raises(CalibrationError, match=words):
             calibration_file(name, description)
-
-
-def test_states_that_come_too_rarely_to_follow_a_hand_refuse_a_calibration() -> None:
-    check_state_rate(LEAST_STATE_RATE_HZ)
-    with pytest.raises(OrderRefused, match=r"arm\.joint_state_rate_hz must be at least 10 Hz to calibrate, not 5"):
-        check_state_rate(5.0)
 
 
 ROBOT = so101()

@@ -103,7 +103,8 @@ class ArmConfig:
 
     robot: RobotModel
     hardware: HardwareConfig
-    state_rate_hz: float = within(50.0, 1.0, 100.0)
+    # A slower one would lose count of a joint that a hand turns across the seam while it is calibrated.
+    state_rate_hz: float = within(50.0, 10.0, 100.0)
     start_enabled: bool = True  # True to enable the arm once it is connected; else it stays relaxed
     # Silence of the server after which the arm is stopped; a simulated arm waits longer. The shortest timeout tolerates
     # two missed heartbeats [s].

@@ -91,11 +91,8 @@ class ArmSettings(SettingsSection):
     """folders with the packages of package://, searched ahead of ROS_PACKAGE_PATH."""
     ideal_lag_s: float = Field(default=0.03, ge=0.0, le=1.0)
     """time constant with which the joints of an ideal arm follow their goals [s]."""
-    joint_state_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
-    """rate of ``/joint_states`` [Hz]."""
-    # What a screen shows at most.
-    tf_rate_hz: float = Field(default=50.0, ge=1.0, le=100.0)
-    """rate of ``/tf``, at most the rate of the joint states [Hz]."""
+    joint_state_rate_hz: float = Field(default=50.0, ge=10.0, le=100.0)
+    """rate of ``/joint_states`` and ``/tf`` [Hz]."""
     speed_limit: float = Field(default=1.0, ge=MIN_SPEED_LIMIT, le=1.0)
     """share of the joints' velocity limits that no motion exceeds; ``/arm/set_speed_limit`` changes it."""
     unverified_speed_limit: float = Field(default=0.25, ge=MIN_SPEED_LIMIT, le=1.0)
@@ -233,7 +230,7 @@ class GoalSettings(SettingsSection):
     on_disconnect: Literal["finish", "stop"] = "finish"
     """goals on actions of a client that leaves; its URL may choose, as in ``?on_disconnect=stop``."""
     confirm: bool = False
-    """plan, show, and wait for a message on /moveit_goal_confirm before the motion."""
+    """plan, show, and wait for the goal's id on /moveit_goal_approve before the motion."""
     # The goals behind it wait as long.
     confirm_timeout_s: float = Field(default=120.0, ge=1.0, le=3600.0)
     """a goal that is not confirmed within this time is answered TIMED_OUT [s]."""

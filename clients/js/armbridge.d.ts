@@ -905,17 +905,6 @@ export interface GetPositionFKResponse {
   error_code: MoveItErrorCodes;
 }
 
-/** moveit_msgs/srv/RenameRobotStateInWarehouse_Request */
-export interface RenameRobotStateInWarehouseRequest {
-  old_name: string;
-  new_name: string;
-  robot: string;
-}
-
-/** moveit_msgs/srv/RenameRobotStateInWarehouse_Response */
-export interface RenameRobotStateInWarehouseResponse {
-}
-
 /** moveit_msgs/srv/SaveRobotStateToWarehouse_Request */
 export interface SaveRobotStateToWarehouseRequest {
   name: string;
@@ -1094,7 +1083,6 @@ export interface Services {
   "moveit_msgs/srv/GetMotionPlan": { request: GetMotionPlanRequest; response: GetMotionPlanResponse };
   "moveit_msgs/srv/GetPlanningScene": { request: GetPlanningSceneRequest; response: GetPlanningSceneResponse };
   "moveit_msgs/srv/GetPositionFK": { request: GetPositionFKRequest; response: GetPositionFKResponse };
-  "moveit_msgs/srv/RenameRobotStateInWarehouse": { request: RenameRobotStateInWarehouseRequest; response: RenameRobotStateInWarehouseResponse };
   "moveit_msgs/srv/SaveRobotStateToWarehouse": { request: SaveRobotStateToWarehouseRequest; response: SaveRobotStateToWarehouseResponse };
   "std_srvs/srv/SetBool": { request: SetBoolRequest; response: SetBoolResponse };
   "std_srvs/srv/Trigger": { request: TriggerRequest; response: TriggerResponse };

@@ -61,7 +61,6 @@ SERVICES = (
     "moveit_msgs/GetMotionPlan",
     "moveit_msgs/GetPlanningScene",
     "moveit_msgs/GetPositionFK",
-    "moveit_msgs/RenameRobotStateInWarehouse",
     "moveit_msgs/SaveRobotStateToWarehouse",
     "std_srvs/SetBool",
     "std_srvs/Trigger",

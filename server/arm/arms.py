@@ -141,33 +141,23 @@ class ServedArm:
         return self.name and f"{self.name}_"
 
 
-# Shares of a period: arms whose states come later than that after the others are not waited for, and in a burst the
-# next state is not published earlier.
-LATE, EARLY = 1.5, 0.5
+# Share of a period after which the next state is passed on: states of an arm come a little early, too.
+EARLIEST = 0.8
 
 
 class JoinedBeat:
     """Beat in which the states of several arms, each with a clock of its own, are passed on as one."""
 
-    def __init__(self, names: frozenset[str], period_s: float) -> None:
-        self._earliest_s, self._latest_s = EARLY * period_s, LATE * period_s
-        # Those that have sent a state since the last time, and those that had before.
-        self._fresh: set[str] = set()
-        self._awaited: frozenset[str] = names
-        self._told_s = -math.inf
+    def __init__(self, period_s: float) -> None:
+        self._least_s, self._told_s = EARLIEST * period_s, -math.inf
 
-    def takes(self, name: str, now_s: float) -> bool:
-        """Return True if an arm's state is due to be passed on with the states of the others.
+    def takes(self, now_s: float) -> bool:
+        """Return True if an arm's state is due to be passed on with the latest states of the others.
 
-        It is when each arm that is not silent has sent one, or some are late. A busy machine brings the states of one
-        arm in bursts, which are passed on once.
+        A busy machine brings the states of one arm in bursts, which are passed on once.
         """
-        self._fresh.add(name)
-        since_s = now_s - self._told_s
-        if since_s < self._earliest_s or (since_s < self._latest_s and not self._fresh >= self._awaited):
+        if now_s - self._told_s < self._least_s:
             return False
-        self._awaited = frozenset(self._fresh)
-        self._fresh.clear()
         self._told_s = now_s
         return True
 
@@ -189,9 +179,7 @@ class Arms:
             group = ArmGroup({name: (arms[name], each.joint_names) for name, each in files.items()}, leaders)
             robot = joined_robot(files)
             self.whole = ServedArm("", ArmSettings(), Description(robot.name, robot, HardwareTable(), None), group)
-        self._beat = JoinedBeat(
-            frozenset(files), 1.0 / max(each.settings.joint_state_rate_hz for each in files.values())
-        )
+        self._beat = JoinedBeat(1.0 / max(each.settings.joint_state_rate_hz for each in files.values()))
         self._health: dict[str, ArmHealth] = {}
 
     def _made(self, name: str, files: ArmFiles, arm_process: StartedChild | None) -> Arm:
@@ -209,7 +197,7 @@ class Arms:
     def _take_state(self, name: str, state: ArmState) -> None:
         for feature in self._features:
             feature.on_state(name, state)
-        if name and self._beat.takes(name, time.monotonic()):
+        if name and self._beat.takes(time.monotonic()):
             self._take_state("", self.whole.arm.state)
 
     def _take_health(self, name: str, health: ArmHealth) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robot.arm import ORDER_TIMEOUT_S, SILENT_S, Arm
-from robot.calibration import TICKS_PER_TURN, Calibration, lerobot_directories, reserved, save
+from robot.calibration import Calibration, lerobot_directories, reserved, save
 from robot.commissioning.session import Act, CalibrationSession, asked_motions
 from robot.errors import CalibrationError, OrderRefused
 from robot.messages import ArmHealth, ArmState, Mode, Order
@@ -20,9 +20,6 @@ from server.arm.setup import Description
 # Names that lerobot's ids have, and that lead to no other folder.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
-# Slower states would lose count of a joint that a hand turns across the seam.
-LEAST_STATE_RATE_HZ = 10.0
-
 WRITING_TIMEOUT_S = 5.0
 
 # Name of the register among a joint's settings.
@@ -31,21 +28,11 @@ HOMING_OFFSET = "HOMING_OFFSET"
 
 @dataclass(frozen=True)
 class Recalibrated:
-    """New calibration of the arm, with which the server starts again, and the joints' positions under it [rad]."""
+    """New calibration of an arm, with which the server starts again."""
 
     arm: str
     file: Path
-    position_rad: Mapping[str, float]
     ended: Ended
-
-
-def check_state_rate(rate_hz: float) -> None:
-    """Check that the arm's states come often enough to follow a hand."""
-    if rate_hz < LEAST_STATE_RATE_HZ:
-        raise OrderRefused(
-            f"arm.joint_state_rate_hz must be at least {LEAST_STATE_RATE_HZ:g} Hz to calibrate, not {rate_hz:g}: a "
-            "joint that is turned quickly could not be followed"
-        )
 
 
 class CalibrationProcedure:
@@ -100,10 +87,7 @@ class CalibrationProcedure:
             f"Verify it before anything else moves.{name}"
         )
         dialogue.findings = [*session.findings]
-        position_rad = self._positions_rad(session.calibration.with_zero_offsets(self._trims_rad))
-        self._start_anew(
-            Recalibrated(self._served.name, self._file, position_rad, Ended(result, tuple(dialogue.findings)))
-        )
+        self._start_anew(Recalibrated(self._served.name, self._file, Ended(result, tuple(dialogue.findings))))
         return result
 
     def take_state(self, state: ArmState, dialogue: Dialogue) -> None:
@@ -174,16 +158,6 @@ class CalibrationProcedure:
         joints = {joint.joint: joint for joint in self._present.joints}
         each = zip(state.joint_names, state.position_rad.tolist(), strict=True)
         return {joints[name].servo_id: joints[name].ticks_from_rad(position) for name, position in each}
-
-    def _positions_rad(self, calibration: Calibration) -> dict[str, float]:
-        """Return where the joints are under a new calibration: the encoders stand where they stood."""
-        ranges = {each.joint: each for each in self._session.ranges()}
-        position_rad = {}
-        for joint in calibration.joints:
-            encoder = ranges[joint.joint].present + self._offsets[joint.servo_id]
-            ticks = (encoder - joint.homing_offset) % TICKS_PER_TURN
-            position_rad[joint.joint] = joint.rad_from_ticks(ticks)
-        return position_rad
 
 
 def calibration_file(name: str, description: Description) -> tuple[Path, bool]:

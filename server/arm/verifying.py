@@ -146,7 +146,7 @@ class VerificationProcedure:
             if answer.code is MoveItErrorCode.SUCCESS:
                 return
             reasons.append(answer.message)
-            if answer.performed.executed is not None or answer.code in STOPPED:
+            if answer.performed.planned or answer.code in STOPPED:
                 break
         raise ProcedureFailed(f"{pose.name} was not reached: {reasons[-1]}")
 

@@ -72,7 +72,7 @@ def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 LEADER_TOPIC = "/leader/joint_states"
-DEFAULT_RATE_HZ, MAX_RATE_HZ = 100, 100
+DEFAULT_RATE_HZ, RATES_HZ = 100, (10, 100)
 
 
 def add_leader_parser(subparsers: Subparsers) -> None:
@@ -91,7 +91,7 @@ def add_leader_parser(subparsers: Subparsers) -> None:
     add_robot(parser, None)
     add_calibration(parser)
     parser.add_argument("--topic", default=LEADER_TOPIC, help=f"of the joints ({LEADER_TOPIC})")
-    add_number(parser, "--rate", "HZ", (1, MAX_RATE_HZ), DEFAULT_RATE_HZ, f"samples a second ({DEFAULT_RATE_HZ})")
+    add_number(parser, "--rate", "HZ", RATES_HZ, DEFAULT_RATE_HZ, f"samples a second ({DEFAULT_RATE_HZ})")
     parser.add_argument(
         "--emulator-control", type=Path, metavar="PATH", help="Unix socket that takes commands to the emulated servos"
     )

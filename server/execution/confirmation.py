@@ -1,7 +1,6 @@
 """Confirmation of plans by users: the arm moves when somebody has seen the plan."""
 
 import asyncio
-import functools
 import logging
 from typing import Any
 
@@ -16,7 +15,6 @@ from server.graph.topics import Graph
 
 log = logging.getLogger("armbridge.goals")
 
-CONFIRM_TOPIC = "/moveit_goal_confirm"
 APPROVE_TOPIC = "/moveit_goal_approve"
 APPROVAL_TOPIC = "/moveit_goal_approval"
 CONFIRM_MODE_SERVICE = "/moveit_goal_confirm_mode"
@@ -27,8 +25,8 @@ NOTHING_WAITS = diagnostic_status(LEVEL_OK, "", "no goal waits", {})
 class Confirmation:
     """Gate between plan and motion: the arm moves when a user confirms the plan.
 
-    A proposed plan is confirmed by its goal's id, so that a user who decides on one plan cannot confirm the next one,
-    which has just taken its place.
+    A plan is confirmed by its goal's id, so that a user who decides on one plan cannot confirm the next one, which has
+    just taken its place.
     """
 
     def __init__(self, graph: Graph, *, enabled: bool, timeout_s: float) -> None:
@@ -36,22 +34,13 @@ class Confirmation:
         # The proposed goal that is not answered yet; None without one. There is one at a time.
         self.proposal: Goal | None = None
         self._waiting: Goal | None = None
-        self._decision: asyncio.Future[bool] | None = None
+        self._confirmed = asyncio.Event()
         # Goals of several groups are confirmed one after the other.
         self._turn = asyncio.Lock()
         self._timeout_s = timeout_s
         self.enabled = enabled  # True while all goals wait for a confirmation
-
-        def confirm(published: PublishedMessage) -> None:
-            self._decide(CONFIRM_TOPIC, go=published.msg["data"])
-
-        def approve(published: PublishedMessage) -> None:
-            self._decide(APPROVE_TOPIC, go=True, goal_id=published.msg["data"])
-
         # Another client may confirm than the driving one.
-        reject = functools.partial(log.warning, "%s: %s", CONFIRM_TOPIC)
-        self._node.subscribe(CONFIRM_TOPIC, "std_msgs/Bool", confirm, reject, rule=WORKING)
-        self._node.subscribe(APPROVE_TOPIC, "std_msgs/String", approve, rule=WORKING)
+        self._node.subscribe(APPROVE_TOPIC, "std_msgs/String", self._confirm, rule=WORKING)
         self._node.advertise(APPROVAL_TOPIC, "diagnostic_msgs/DiagnosticStatus", latch=True)
         self._node.publish(APPROVAL_TOPIC, NOTHING_WAITS)
         self._node.offer(CONFIRM_MODE_SERVICE, "std_srvs/SetBool", self._set_mode, rule=CONFIGURING)
@@ -66,35 +55,33 @@ class Confirmation:
         goal.answered.add_done_callback(forget)
 
     async def wait(self, goal: Goal, planned: Performed) -> Answer | None:
-        """Wait for the decision on a plan; return None to go on, else the goal's answer."""
+        """Wait until a plan is confirmed; return None to go on, else the goal's answer."""
         async with self._turn:
-            self._waiting, self._decision = goal, asyncio.get_running_loop().create_future()
+            self._waiting = goal
+            self._confirmed.clear()
             self._publish_request(goal, planned)
             # Last: a client that learns of the waiting plan may decide on it at once.
             waits = f"{goal.request.client} asks for your approval" if _is_proposed(goal) else "waits to be confirmed"
             goal.report(Progress(GoalState.PLANNED, f"{planned.summary}; {waits}", 0.0, planned.duration_s))
             try:
                 async with asyncio.timeout(self._timeout_s):
-                    go = await self._decision
+                    await self._confirmed.wait()
             except TimeoutError:
-                topic = APPROVE_TOPIC if _is_proposed(goal) else CONFIRM_TOPIC
-                message = f"planned, but not confirmed on {topic} within {self._timeout_s:g} s"
+                message = f"planned, but not confirmed on {APPROVE_TOPIC} within {self._timeout_s:g} s"
                 return Answer(MoveItErrorCode.TIMED_OUT, message)
             finally:
-                self._waiting = self._decision = None
+                self._waiting = None
                 self._node.publish(APPROVAL_TOPIC, NOTHING_WAITS)
-            return None if go else Answer(MoveItErrorCode.PREEMPTED, f"planned, and discarded by {CONFIRM_TOPIC}")
+            return None
 
-    def _decide(self, topic: str, *, go: bool, goal_id: str | None = None) -> None:
-        waiting = self._waiting
-        if waiting is None or self._decision is None or self._decision.done():
-            log.warning("%s: ignored, no goal waits for it", topic)
-        elif goal_id not in (None, waiting.goal_id):
-            log.warning("%s: ignored, goal %s waits, not %r", topic, waiting.goal_id, shorten(goal_id or ""))
-        elif go and goal_id is None and _is_proposed(waiting):
-            log.warning("%s: ignored, goal %s is approved on %s", topic, waiting.goal_id, APPROVE_TOPIC)
+    def _confirm(self, published: PublishedMessage) -> None:
+        goal_id = published.msg["data"]
+        if self._waiting is None:
+            log.warning("%s: ignored, no goal waits for it", APPROVE_TOPIC)
+        elif goal_id != self._waiting.goal_id:
+            log.warning("%s: ignored, goal %s waits, not %r", APPROVE_TOPIC, self._waiting.goal_id, shorten(goal_id))
         else:
-            self._decision.set_result(go)
+            self._confirmed.set()
 
     def _publish_request(self, goal: Goal, planned: Performed) -> None:
         values = {
@@ -111,7 +98,7 @@ class Confirmation:
 
     def _set_mode(self, request: dict[str, Any]) -> str:
         self.enabled = request["data"]
-        said = f"wait for a message on {CONFIRM_TOPIC}" if self.enabled else "are carried out at once"
+        said = f"wait for their id on {APPROVE_TOPIC}" if self.enabled else "are carried out at once"
         return f"goals on /moveit_goal_* {said}"
 
 

@@ -10,7 +10,6 @@ import contextlib
 import functools
 import logging
 import statistics
-from array import array
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -102,50 +101,6 @@ CODE_OF_OUTCOME = {
     Outcome.FAULT: MoveItErrorCode.CONTROL_FAILED,
 }
 
-# Ten minutes at 50 Hz; of a longer motion the beginning is kept.
-MAX_SAMPLES = 30_000
-
-
-class MotionRecorder:
-    """Recorder of the arm's states while a motion runs, with times of the arm's clock."""
-
-    def __init__(self) -> None:
-        self._joint_names: tuple[str, ...] = ()
-        # Of each state its time, positions and velocities, written down at once: at the end of a long motion that would
-        # hold the event loop up.
-        self._samples: array[float] | None = None
-
-    def start(self) -> None:
-        self._samples = array("d")
-
-    def take_state(self, state: ArmState) -> None:
-        if self._samples is None or state.position_rad is None or state.velocity_rad_s is None:
-            return
-        width = 1 + 2 * len(state.joint_names)
-        if len(self._samples) < MAX_SAMPLES * width and (not self._samples or state.clock_s > self._samples[-width]):
-            self._joint_names = state.joint_names
-            self._samples.extend((state.clock_s, *state.position_rad.tolist(), *state.velocity_rad_s.tolist()))
-
-    def discard(self) -> None:
-        """End the recording without a trajectory."""
-        self._samples = None
-
-    def finish(self, joint_names: tuple[str, ...]) -> Trajectory | None:
-        """End the recording; return the trajectory of these joints, or None when no state came.
-
-        The servos measure no accelerations: those are 0.
-        """
-        samples, self._samples = self._samples, None
-        if not samples:
-            return None
-        times, positions, velocities = np.split(
-            np.array(samples).reshape(-1, 1 + 2 * len(self._joint_names)), (1, 1 + len(self._joint_names)), axis=1
-        )
-        columns = [self._joint_names.index(name) for name in joint_names]
-        positions_rad, velocities_rad_s = positions[:, columns], velocities[:, columns]
-        time_s = times[:, 0] - times[0]
-        return Trajectory(joint_names, time_s, positions_rad, velocities_rad_s, np.zeros_like(positions_rad))
-
 
 @dataclass(frozen=True)
 class ExecutionContext:
@@ -181,7 +136,6 @@ class GoalExecutor:
         self._arm = arm
         self._context, self._scene, self._clock = context, context.scene_state, context.clock
         self._in_progress = in_progress
-        self.recorder = MotionRecorder()
         # The motion in progress, and the motion of a preempted goal, which another can replace.
         self._played: PlayedMotion | None = None
         self._outgoing: PlayedMotion | None = None
@@ -263,18 +217,11 @@ class GoalExecutor:
     async def _play_spliced(self, goal: Goal, planned: Performed, version: int, point: SplicePoint) -> Answer | None:
         """Play a motion in the place of the outgoing one; None where the arm has passed the splice point."""
         self._show_soon(planned)
-        self.recorder.start()
         [motion] = planned.planned
         answer = await self._play(goal, motion, version, planned.summary, point=point)
-        executed = None
-        if goal.unlogged:
-            # Nobody asks for the states of a motion in a stream.
-            self.recorder.discard()
-        else:
-            executed = self.recorder.finish(motion.joint_names)
         if answer.details.get("outcome") == Outcome.REFUSED.value:
             return None
-        return replace(answer, performed=replace(planned, executed=executed))
+        return replace(answer, performed=planned)
 
     async def _attempt(self, goal: Goal, request: PlannedMotion) -> Answer:
         try:
@@ -408,17 +355,13 @@ class GoalExecutor:
         return None if answer is None else replace(answer, performed=planned)
 
     async def _play_all(self, goal: Goal, planned: Performed, version: int) -> Answer:
-        motions = planned.planned
         answer = Answer(MoveItErrorCode.SUCCESS, "the arm was there already")
-        self.recorder.start()
         to_come_s = planned.duration_s
-        for motion in motions:
+        for motion in planned.planned:
             to_come_s -= motion.duration_s
             if motion.duration_s > 0.0 and answer.code is MoveItErrorCode.SUCCESS:
                 answer = await _answered(self._play_one(goal, motion, planned, version, to_come_s))
-        executed = self.recorder.finish(motions[0].joint_names if motions else ())
-        message = "; ".join((answer.message, *planned.notes))
-        return replace(answer, message=message, performed=replace(planned, executed=executed))
+        return replace(answer, message="; ".join((answer.message, *planned.notes)), performed=planned)
 
     async def _play_one(
         self, goal: Goal, motion: Trajectory, planned: Performed, version: int, to_come_s: float
@@ -689,7 +632,3 @@ class GoalExecutors:
     def brake(self) -> None:
         """Bring all arms to rest, also motions of no goal."""
         self._arm.brake()
-
-    def take_state(self, state: ArmState) -> None:
-        for executor in self._executors.values():
-            executor.recorder.take_state(state)

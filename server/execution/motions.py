@@ -83,11 +83,10 @@ Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 
 @dataclass(frozen=True)
 class Performed:
-    """Motions planned for a goal, and the path of the arm by its readings."""
+    """Motions planned for a goal."""
 
     start_rad: Mapping[str, float]
     planned: tuple[Trajectory, ...] = ()
-    executed: Trajectory | None = None  # None when the arm did not move
     planning_time_s: float = 0.0
     methods: tuple[str, ...] = ()  # of planning, for each motion
     notes: tuple[str, ...] = ()  # sentences on ends that are not at their goals

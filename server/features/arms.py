@@ -3,8 +3,7 @@
 import asyncio
 import functools
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
 
 from protocol.messages import Stamp
 from robot.arm_group import ArmGroup
@@ -12,8 +11,8 @@ from robot.errors import OrderRefused
 from robot.messages import ArmHealth, ArmState
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.control_lease import ControlServices
-from server.arm.arms import ArmFiles, read_now
-from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file, check_state_rate
+from server.arm.arms import read_now
+from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file
 from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
 from server.arm.interface import TOPIC as JOINT_STATES
 from server.arm.interface import ArmStateTopics, offer_arm_services, offer_pace
@@ -126,7 +125,6 @@ class CommissioningOfArms(Feature):
         if procedure == "calibrate":
             if self._shared_calibration:
                 raise OrderRefused("the arms of a classroom have one calibration together, which is not changed here")
-            check_state_rate(served.settings.joint_state_rate_hz)
             file = calibration_file(name, served.description)
             return CalibrationProcedure(arm, served, file, context.stop, self._start_again)
         if procedure == "verify":
@@ -146,13 +144,6 @@ def with_calibration(settings: Settings, recalibrated: Recalibrated) -> Settings
         return settings.model_copy(update={"arm": settings.arm.model_copy(update=update)})
     arm = settings.arms[recalibrated.arm].model_copy(update=update)
     return settings.model_copy(update={"arms": {**settings.arms, recalibrated.arm: arm}})
-
-
-def resumed(arms: Mapping[str, ArmFiles], recalibrated: Recalibrated) -> dict[str, ArmFiles]:
-    """Return the arms with the positions that one of them has under its new calibration."""
-    found = arms[recalibrated.arm]
-    hardware = found.config.hardware.resumed(recalibrated.position_rad, driven=False)
-    return {**arms, recalibrated.arm: replace(found, config=replace(found.config, hardware=hardware))}
 
 
 def teaching_of(context: ServerContext) -> Teaching:

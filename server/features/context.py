@@ -8,7 +8,6 @@ from functools import cached_property
 from planners.interface import Planners
 from robot.arm import Arm
 from robot.arm_group import AnyArm, ArmGroup
-from robot.messages import ArmState
 from server.access.authorization import Access
 from server.arm.arms import ServedArm
 from server.config import Settings
@@ -57,10 +56,6 @@ class Goals(Feature, GoalListener):
 
     async def stop(self) -> None:
         await self.queue.close(QUEUE_CLOSE_TIMEOUT_S)
-
-    def on_state(self, arm: str, state: ArmState) -> None:
-        if not arm:
-            self.executors.take_state(state)
 
     def on_answer(self, goal: Goal, answer: Answer) -> None:
         self.counters.count(goal.request.source, answer)

@@ -90,7 +90,7 @@ class MoveGroup(Feature):
         offer_description(graph, robot, context.rosapi.parameters.keep)
         several = {arm.name: arm.robot for arm in context.arms if arm.name}
         publish_groups(graph, robot, several or {"": robot}, context.whole.parameters)
-        self._transforms = TransformsTopics(graph, robot, context.settings.arm.tf_rate_hz)
+        self._transforms = TransformsTopics(graph, robot)
         self._republisher = TransformRepublisher(graph, planning.frames)
         NamedStatesServices(graph, robot, goals.named_states, planning.current)
         offer_goal_checks(graph, context.whole.translator)

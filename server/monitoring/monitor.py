@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 # Upper bounds of buckets [s]. A goal with many constraints takes seconds to plan; most take milliseconds.
 PLANNING_TIME_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
-MOTION_TIME_BUCKETS_S = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 
 
 class GoalCounters(Collector):
@@ -61,23 +60,14 @@ class GoalCounters(Collector):
             buckets=PLANNING_TIME_BUCKETS_S,
             registry=None,
         )
-        self._motion_s = Histogram(
-            "armbridge_goal_motion_seconds",
-            "Time for which the arm moved, a goal.",
-            buckets=MOTION_TIME_BUCKETS_S,
-            registry=None,
-        )
 
     def count(self, source: str, answer: Answer) -> None:
         self._answered.labels(source, answer.code.name).inc()
-        performed = answer.performed
-        if performed.planning_time_s > 0.0:
-            self._planning_s.observe(performed.planning_time_s)
-        if performed.executed is not None:
-            self._motion_s.observe(performed.executed.duration_s)
+        if answer.performed.planning_time_s > 0.0:
+            self._planning_s.observe(answer.performed.planning_time_s)
 
     def collect(self) -> Iterator[Metric]:
-        for each in (self._answered, self._planning_s, self._motion_s):
+        for each in (self._answered, self._planning_s):
             yield from each.collect()
 
 

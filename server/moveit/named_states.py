@@ -1,4 +1,4 @@
-"""Named states of the SRDF and of users: their store, their file, and MoveIt's warehouse services.
+"""Named states of the SRDF and of users: their store, their file, and their services.
 
 The services have the names and types of moveit_ros_warehouse's node warehouse_services.
 """
@@ -10,18 +10,18 @@ import difflib
 import json
 import logging
 import math
-import re
 from collections.abc import Awaitable, Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from protocol.errors import shorten
 from robot import files
 from robot.description.model import RobotModel
 from server.disk import Disk
 from server.errors import ServiceError
-from server.execution.monitors import CurrentState, state_message
+from server.execution.monitors import CurrentState
 from server.execution.motions import Positions
 from server.graph.permissions import CONFIGURING, LOOKING, Rule
 from server.graph.services import Answered, ServiceFunction
@@ -42,10 +42,6 @@ MIN_SIMILARITY = 0.6
 MAX_FILE_BYTES = 10_000_000
 
 NAMED_STATES_TOPIC = "/named_states"
-
-# Matching goes back and forth: without groups and with two repeats it takes at most a few thousand steps a name.
-MAX_PATTERN_LENGTH = 100
-MAX_REPEATS = 2
 
 States: TypeAlias = dict[str, dict[str, float]]
 
@@ -111,32 +107,15 @@ class NamedStates:
 
     async def delete(self, name: str) -> None:
         def remove(states: States) -> States:
-            spelled = self._own(name, states)
+            spelled = _spelling(name, (*self.described, *states))
+            if spelled is None:
+                known = ", ".join(sorted((*self.described, *states)))
+                raise ServiceError(f"name: there is no state {name!r}; known are: {known}")
+            if spelled in self.described:
+                raise ServiceError(f"name: {spelled!r} is a state of the SRDF, which is not changed here")
             return {known: state for known, state in states.items() if known != spelled}
 
         await self._change(remove)
-
-    async def rename(self, old_name: str, new_name: str) -> None:
-        new = " ".join(new_name.split())
-
-        def rename(states: States) -> States:
-            spelled = self._own(old_name, states)
-            taken = _spelling(new_name, (*self.described, *states))
-            if taken not in (None, spelled):
-                raise ServiceError(f"new_name: there is a state {taken!r} already")
-            self._check(new, states[spelled])
-            return {new if known == spelled else known: state for known, state in states.items()}
-
-        await self._change(rename)
-
-    def _own(self, name: str, states: States) -> str:
-        spelled = _spelling(name, (*self.described, *states))
-        if spelled is None:
-            known = ", ".join(sorted((*self.described, *states)))
-            raise ServiceError(f"name: there is no state {name!r}; known are: {known}")
-        if spelled in self.described:
-            raise ServiceError(f"name: {spelled!r} is a state of the SRDF, which is not changed here")
-        return spelled
 
     async def _change(self, change: Change) -> None:
         states = await self._disk.serve(self._path, "the state cannot be kept", lambda: self._write(change))
@@ -239,7 +218,7 @@ def data_directory(environment: Mapping[str, str]) -> Path:
 
 
 class NamedStatesServices:
-    """MoveIt's warehouse services, and the latched topic ``/named_states``."""
+    """Services that list, save and delete states, and the latched topic ``/named_states``."""
 
     def __init__(self, graph: Graph, robot: RobotModel, states: NamedStates, current: CurrentState) -> None:
         self._robot = robot
@@ -251,10 +230,6 @@ class NamedStatesServices:
         self._states.on_change(self._publish)
         self._offer("/list_robot_states", "ListRobotStatesInWarehouse", self._list, LOOKING)
         self._offer("/save_robot_state", "SaveRobotStateToWarehouse", self._save, CONFIGURING)
-        self._offer("/get_robot_state", "GetRobotStateFromWarehouse", self._get, LOOKING)
-        has = "/has_robot_state", "CheckIfRobotStateExistsInWarehouse"
-        self._offer(*has, lambda request: {"exists": states.find(request["name"]) is not None}, LOOKING)
-        self._offer("/rename_robot_state", "RenameRobotStateInWarehouse", self._rename, CONFIGURING)
         self._offer("/delete_robot_state", "DeleteRobotStateFromWarehouse", self._delete, CONFIGURING)
 
     def _offer(self, name: str, type_name: str, function: ServiceFunction, rule: Rule) -> None:
@@ -273,16 +248,9 @@ class NamedStatesServices:
         self._node.publish(NAMED_STATES_TOPIC, {"data": json.dumps(states)})
 
     def _list(self, request: Message) -> Message:
-        pattern = request["regex"]
-        repeats = sum(map(pattern.count, "*+?{"))
-        if len(pattern) > MAX_PATTERN_LENGTH or repeats > MAX_REPEATS or "(" in pattern:
-            allowed = f"at most {MAX_PATTERN_LENGTH} characters, no group and {MAX_REPEATS} repeats"
-            raise ServiceError(f"regex: must have {allowed}, not {pattern[:MAX_PATTERN_LENGTH]!r}")
-        try:
-            wanted = re.compile(pattern or ".*")
-        except re.error as error:
-            raise ServiceError(f"regex: {pattern!r} is no regular expression: {error}") from error
-        return {"states": [name for name in self._states.names() if wanted.fullmatch(name)]}
+        if request["regex"]:
+            raise ServiceError(f"regex: must be empty, for all names, not {shorten(request['regex'])!r}")
+        return {"states": self._states.names()}
 
     async def _save(self, request: Message) -> Message:
         """Save the state in the request; without joints, the present positions of the arm."""
@@ -295,18 +263,6 @@ class NamedStatesServices:
             raise ServiceError("state: has no joints, and joint positions unknown: the arm is not connected")
         await self._states.save(request["name"], positions_rad)
         return {"success": True}
-
-    def _get(self, request: Message) -> Message:
-        found = self._states.find(request["name"])
-        if found is None:
-            raise ServiceError(
-                f"name: there is no state {request['name']!r}; known are: {', '.join(self._states.names())}"
-            )
-        return {"state": state_message(dict(found[1]), self._robot.root_link, 0.0)}
-
-    async def _rename(self, request: Message) -> Message:
-        await self._states.rename(request["old_name"], request["new_name"])
-        return {}
 
     async def _delete(self, request: Message) -> Message:
         await self._states.delete(request["name"])

@@ -94,7 +94,6 @@ class NamedStates(Face[AsyncNamedStates]):
 
     all = blocking(AsyncNamedStates.all)
     save = blocking(AsyncNamedStates.save)
-    rename = blocking(AsyncNamedStates.rename)
     delete = blocking(AsyncNamedStates.delete)
 
 
@@ -257,7 +256,6 @@ class Arm(Face[AsyncArm]):
     release_control = blocking(AsyncArm.release_control)
     control = blocking(AsyncArm.control)
     publish = blocking(AsyncArm.publish)
-    confirm = blocking(AsyncArm.confirm)
     waiting_goal = blocking(AsyncArm.waiting_goal)
     approve = blocking(AsyncArm.approve)
     discard = blocking(AsyncArm.discard)

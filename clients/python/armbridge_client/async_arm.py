@@ -15,7 +15,6 @@ from armbridge_client.connection import CALL_TIMEOUT_S, Address, Connection, Ser
 from armbridge_client.errors import ArmError, GoalRefused
 from armbridge_client.interface import find_arm
 from armbridge_client.messages import (
-    Bool,
     CheckGoalsRequest,
     DiagnosticStatus,
     GetCartesianPathRequest,
@@ -366,10 +365,6 @@ class AsyncArm:
         values = {pair.key: pair.value for pair in status.values}
         return Control(status.hardware_id, float(values.get("free_in_s") or 0.0), status.message)
 
-    async def confirm(self, *, execute: bool = True) -> None:
-        """Execute the goal that waits for its confirmation, or discard it."""
-        await self.connection.publish(f"{self._prefix}/moveit_goal_confirm", Bool(execute))
-
     async def waiting_goal(self, timeout_s: float = 5.0) -> WaitingGoal | None:
         """Return the goal that waits for an approval or a confirmation; None without one (docs/goals.md)."""
         async with self.connection.subscribe(
@@ -385,7 +380,7 @@ class AsyncArm:
         )
 
     async def approve(self, goal_id: str) -> None:
-        """Approve a proposed goal of another client, such as a language model's; needs the role operate."""
+        """Approve a goal that waits, such as a proposed goal of a language model; needs the role operate."""
         await self.connection.publish("/moveit_goal_approve", String(goal_id))
 
     async def discard(self, goal_id: str) -> None:

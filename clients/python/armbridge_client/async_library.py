@@ -15,7 +15,6 @@ from armbridge_client.messages import (
     EndTeachingResponse,
     ListMotionsRequest,
     RenameMotionRequest,
-    RenameRobotStateInWarehouseRequest,
     ReplayMotionGoal,
     ReplayMotionResult,
     SaveRobotStateToWarehouseRequest,
@@ -45,11 +44,6 @@ class AsyncNamedStates:
     async def save(self, name: str) -> None:
         """Save the present position under a name; needs the role admin."""
         await self._connection.carry_out("/save_robot_state", SaveRobotStateToWarehouseRequest(name))
-
-    async def rename(self, name: str, new_name: str) -> None:
-        """Rename a saved state; needs the role admin."""
-        request = RenameRobotStateInWarehouseRequest(name, new_name)
-        await self._connection.carry_out("/rename_robot_state", request)
 
     async def delete(self, name: str) -> None:
         """Delete a saved state; needs the role admin."""

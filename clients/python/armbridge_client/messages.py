@@ -1038,23 +1038,6 @@ class GetPositionFKRequest(Service[GetPositionFKResponse]):
 
 
 @dataclass(repr=False)
-class RenameRobotStateInWarehouseResponse(Message):
-    """moveit_msgs/srv/RenameRobotStateInWarehouse_Response."""
-
-    TYPE: ClassVar[str] = "moveit_msgs/srv/RenameRobotStateInWarehouse_Response"
-
-
-@dataclass(repr=False)
-class RenameRobotStateInWarehouseRequest(Service[RenameRobotStateInWarehouseResponse]):
-    """moveit_msgs/srv/RenameRobotStateInWarehouse_Request."""
-
-    TYPE: ClassVar[str] = "moveit_msgs/srv/RenameRobotStateInWarehouse"
-    old_name: str = ""
-    new_name: str = ""
-    robot: str = ""
-
-
-@dataclass(repr=False)
 class SaveRobotStateToWarehouseResponse(Message):
     """moveit_msgs/srv/SaveRobotStateToWarehouse_Response."""
 
@@ -1285,7 +1268,6 @@ TYPES = {
     "moveit_msgs/srv/GetMotionPlan": "RIHS01_0e118e1d8d53d5fea8eea309fc06a58239fa0e617864127e7de8399ab7335b27",
     "moveit_msgs/srv/GetPlanningScene": "RIHS01_7ed7e96238b902174d985b0eb739ea08c95377e8e46a6a9014c22497faf79cd2",
     "moveit_msgs/srv/GetPositionFK": "RIHS01_2f16ec361a135d84b85a29385abeb9eeb025e39c09038bd6b2826645edc7edad",
-    "moveit_msgs/srv/RenameRobotStateInWarehouse": "RIHS01_202a23f69118d742471c19e8fb96205c7e7d9f595a3edf28e50e9dd002d27e22",
     "moveit_msgs/srv/SaveRobotStateToWarehouse": "RIHS01_038b704d5b0a3b81f91ddf02d7f0bb09b8112fe97ae583426b13514ca2c85626",
     "std_srvs/srv/SetBool": "RIHS01_abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
     "std_srvs/srv/Trigger": "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",

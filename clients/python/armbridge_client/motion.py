@@ -30,7 +30,7 @@ MOTION_TIMEOUT_S = 60.0
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """A motion that reached its goal: its duration as it was executed [s], and the server's sentence."""
+    """A motion that reached its goal: its duration as planned [s], and the server's sentence."""
 
     duration_s: float
     message: str

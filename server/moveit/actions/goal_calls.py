@@ -141,15 +141,13 @@ class GoalCalls:
 
     def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
         instead = suggestion(message, answer.details, self._context.robot)
-        performed = answer.performed
-        motions = performed.planned if performed.executed is None else (performed.executed,)
         return {
             "success": answer.code is MoveItErrorCode.SUCCESS,
             "code": int(answer.code),
             "code_name": answer.code.name,
             "message": answer.message if instead is None else instead.added_to(answer.message),
             "goal_id": number,
-            "duration_s": sum(motion.duration_s for motion in motions),
+            "duration_s": answer.performed.duration_s,
             "suggested": {} if instead is None else instead.as_target(),
             "details": key_values(details_as_json(answer)),
         }

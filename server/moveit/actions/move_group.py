@@ -73,7 +73,8 @@ def move_group_result(answer: Answer, robot: RobotModel) -> Message:
         "error_code": _explained_code(answer, robot),
         "trajectory_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
         "planned_trajectory": _trajectory_message(next(iter(performed.planned), None), robot),
-        "executed_trajectory": _trajectory_message(performed.executed, robot),
+        # The arm's states are on /joint_states.
+        "executed_trajectory": _trajectory_message(None, robot),
         "planning_time": performed.planning_time_s,
     }
 
@@ -150,8 +151,7 @@ def _execute(goal: ActionGoal, queue: GoalQueue, motion: Motion, result: Callabl
 
 def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message]) -> None:
     goal.feedback({"state": IDLE})
-    performed = answer.performed
-    if not is_long([*performed.planned, *filter(None, (performed.executed,))]):
+    if not is_long(answer.performed.planned):
         finish_goal(goal, answer, result)
         return
 

@@ -39,7 +39,7 @@ class GoalRecord:
     stamp_s: float
     status: Message
     asked: Mapping[str, Any]
-    performed: Performed  # without the path of the arm and the scene
+    performed: Performed  # without the scene
     failure: PlanningFailure
     scene: Scene | None  # in which it was planned; None once it is forgotten
 
@@ -66,7 +66,7 @@ class GoalHistory(GoalListener):
             self._wall_clock(),
             final_status(goal, answer, self._robot),
             goal.request.message,
-            replace(performed, executed=None, scene=EMPTY_SCENE),
+            replace(performed, scene=EMPTY_SCENE),
             PlanningFailure(answer.code, answer.message),
             performed.scene,
         )

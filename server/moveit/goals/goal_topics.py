@@ -236,29 +236,20 @@ class Suggestion:
 
 
 def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) -> Suggestion | None:
-    """Return the goal that would work by the details of a failure; None when they name none."""
+    """Return the goal that would work by the details of a failure, as a plan has verified; None when they name none."""
     if "nearest_name" in details:
         name = details["nearest_name"]
         return Suggestion(NAMED_TOPIC, NAMED_TYPE, {"data": name}, f"the named target {name!r}")
     if "free_rad" in details:
-        return _joints(details["free_rad"], robot, "the nearest configuration that was found")
+        return _joints(details["free_rad"], robot)
     # The end of a part of a path is no goal to publish: the path must be followed up to there.
     if "free_m" in details and "free_fraction" not in details:
-        found = _point(details["free_m"], message, robot.root_link, "the nearest point that was found")
+        found = _point(details["free_m"], message, robot.root_link)
         # The sentence of a point out of reach ends with the nearest point that can be reached.
         known_m = details.get("nearest_m") if details.get("distance_m", 0.0) > SAME_POINT_M else None
         if found is not None and known_m is not None and math.dist(details["free_m"], known_m) < SAME_POINT_M:
             return replace(found, words="that point")
         return found
-    if "nearest_m" in details:
-        return _point(details["nearest_m"], message, robot.root_link, "the nearest point")
-    if {"joint", "lower_rad", "upper_rad"} <= details.keys() and details["joint"] in message.get("name", ()):
-        named = zip(message["name"], message["position"], strict=True)
-        known = {name: value for name, value in named if name in robot.joints}
-        limits = {name: (robot.joints[name].lower, robot.joints[name].upper) for name in known}
-        return _joints(
-            {name: min(max(known[name], low), high) for name, (low, high) in limits.items()}, robot, "within the limits"
-        )
     return None
 
 
@@ -268,7 +259,7 @@ def with_suggestion(message: str, details: Mapping[str, Any], robot: RobotModel)
     return message if instead is None else instead.added_to(message)
 
 
-def _point(position_m: list[float], message: Message, root: str, what: str) -> Suggestion | None:
+def _point(position_m: list[float], message: Message, root: str) -> Suggestion | None:
     """Return the pose goal at another point, with the message's orientation; None if that is in another frame."""
     orientation = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
     if "pose" in message and message["pose"]["orientation"] != orientation:
@@ -277,10 +268,11 @@ def _point(position_m: list[float], message: Message, root: str, what: str) -> S
         orientation = dict(message["pose"]["orientation"])
     x, y, z = position_m
     msg = {"header": {"frame_id": root}, "pose": {"position": {"x": x, "y": y, "z": z}, "orientation": orientation}}
-    return Suggestion(POSE_TOPIC, POSE_TYPE, msg, f"{what}, ({x:.3f}, {y:.3f}, {z:.3f}) m")
+    words = f"the nearest point that was found, ({x:.3f}, {y:.3f}, {z:.3f}) m"
+    return Suggestion(POSE_TOPIC, POSE_TYPE, msg, words)
 
 
-def _joints(positions_rad: Mapping[str, float], robot: RobotModel, what: str) -> Suggestion:
+def _joints(positions_rad: Mapping[str, float], robot: RobotModel) -> Suggestion:
     msg = {"name": list(positions_rad), "position": list(positions_rad.values())}
     units = {robot.joints[name].unit for name in positions_rad}
     listed = ", ".join(
@@ -288,7 +280,7 @@ def _joints(positions_rad: Mapping[str, float], robot: RobotModel, what: str) ->
         for name, value in positions_rad.items()
     )
     unit = f" {units.pop()}" if len(units) == 1 else ""
-    return Suggestion(JOINTS_TOPIC, JOINTS_TYPE, msg, f"{what}, {listed}{unit}")
+    return Suggestion(JOINTS_TOPIC, JOINTS_TYPE, msg, f"the nearest configuration that was found, {listed}{unit}")
 
 
 RESULT_TOPIC = "/moveit_goal_result"

@@ -8,7 +8,7 @@ https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 
 import functools
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
@@ -16,12 +16,9 @@ import numpy as np
 
 from planners.goals import (
     AnyGoal,
-    ConstraintGoal,
     Constraints,
     JointGoal,
-    OrientationConstraint,
     PoseGoal,
-    PositionConstraint,
     PositionGoal,
 )
 from planners.problem import (
@@ -404,38 +401,22 @@ def _tip_speed_m_s(request: Message) -> float | None:
     return value if value > 0.0 else None
 
 
-def _ik_goal(request: Message, context: RequestContext) -> AnyGoal:
+def _ik_goal(request: Message, context: RequestContext) -> PoseGoal:
     links, poses = request["ik_link_names"], request["pose_stamped_vector"]
     if len(poses) > 1 or len(links) > 1:
-        if len(links) != len(poses):
-            raise invalid(f"ik_link_names has {len(links)} entries and pose_stamped_vector {len(poses)}")
-        return _goal_of_links(links, poses, context)
+        raise invalid(
+            f"ik_link_names and pose_stamped_vector must have one entry at most, not {len(links)} and {len(poses)}: for"
+            " several links at once, plan to a position constraint of each"
+        )
     link = request["ik_link_name"] or (links[0] if links else "")
-    pose = _stamped_pose(poses[0] if poses else request["pose_stamped"], context)
+    stamped = poses[0] if poses else request["pose_stamped"]
     return PoseGoal(
         context.link(link),
-        pose,
+        context.placed(stamped["header"]["frame_id"], stamped["pose"], "pose_stamped.pose"),
         LEAST_TOLERANCE_M,
         (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3,
         strict=chooses_orientation(context.group),
     )
-
-
-def _goal_of_links(links: Sequence[str], poses: Sequence[Message], context: RequestContext) -> ConstraintGoal:
-    """Make the goal of several links at once: only their positions if the group has few joints."""
-    placed = [(context.link(link), _stamped_pose(pose, context)) for link, pose in zip(links, poses, strict=True)]
-    positions = tuple(PositionConstraint(link, pose, radius_m=LEAST_TOLERANCE_M) for link, pose in placed)
-    if not chooses_orientation(context.group):
-        context.warnings.append("the orientations of several links are ignored")
-        return ConstraintGoal(Constraints(positions=positions))
-    turned = tuple(
-        OrientationConstraint(link, pose.orientation, (LEAST_ORIENTATION_TOLERANCE_RAD,) * 3) for link, pose in placed
-    )
-    return ConstraintGoal(Constraints(positions=positions, orientations=turned))
-
-
-def _stamped_pose(stamped: Message, context: RequestContext) -> Pose:
-    return context.placed(stamped["header"]["frame_id"], stamped["pose"], "pose_stamped.pose")
 
 
 # Of all motions of a sequence together: for each item of the longest one, two constraints on poses and ten on joints.

@@ -74,27 +74,21 @@ def offer_description(graph: Graph, robot: RobotModel, keep_parameter: Callable[
 class TransformsTopics:
     """Transforms of the arm: transforms of movable joints with the joint states, the others once."""
 
-    def __init__(self, graph: Graph, robot: RobotModel, rate_hz: float) -> None:
-        self._period_s = 1.0 / rate_hz
+    def __init__(self, graph: Graph, robot: RobotModel) -> None:
         self._placements = ForwardPlacements(robot)
         joints = robot.joints.values()
         self._moving = [joint.child for joint in joints if joint.moves]
         self._fixed = [joint.child for joint in joints if not joint.moves]
         self._node = graph.node("robot state publisher")
-        self._published_s = 0.0
         self._node.advertise(TRANSFORMS_TOPIC, "tf2_msgs/TFMessage")
         self._node.advertise(STATIC_TRANSFORMS_TOPIC, "tf2_msgs/TFMessage", latch=True)
         fixed = self._message(self._fixed, {}, graph.message_types.wall_clock())
         self._node.publish(STATIC_TRANSFORMS_TOPIC, fixed)
 
     def take_state(self, state: ArmState) -> None:
-        """Publish a state of the arm, if there are subscribers and it is due."""
+        """Publish a state of the arm, if there are subscribers."""
         if state.position_rad is None or not self._node.subscribers(TRANSFORMS_TOPIC):
             return
-        # The clock of a process that has started again may be behind; that must not silence the topic.
-        if 0.0 <= state.clock_s - self._published_s < self._period_s - EARLY_S:
-            return
-        self._published_s = state.clock_s
         positions_rad = dict(zip(state.joint_names, state.position_rad.tolist(), strict=True))
         self._node.publish(TRANSFORMS_TOPIC, self._message(self._moving, positions_rad, state.stamp_s))
 

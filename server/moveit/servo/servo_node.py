@@ -123,7 +123,7 @@ class StatusPublisher:
 
 
 class CommandGate:
-    """Gate for commands: it lets commands of the client in control pass, of the selected type. A stop ends sticks."""
+    """Gate for commands: it lets commands of the client in control pass. A stop ends sticks."""
 
     def __init__(self, present: Callable[[object], bool], timeout_s: float, arm: AnyArm) -> None:
         self._present = present
@@ -135,14 +135,9 @@ class CommandGate:
         # Of each client that announces its presses.
         self._presses: dict[object, Press] = {}
         self._silences: dict[object, Silence] = {}  # of each client that sends commands
-        self._selected: CommandType | None = None
         self._heard_s = -float("inf")
         self._interrupted = ""
         self.paused = False  # true while all commands are rejected
-
-    def select(self, kind: CommandType) -> None:
-        """Reject other types of commands, until the client in control gives it up."""
-        self._selected = kind
 
     def press(self, client: object, timeout_s: float, present: Container[object]) -> None:
         """Take the announcement of a press: from now on a release of this client's stick is followed by another press.
@@ -185,7 +180,7 @@ class CommandGate:
         for press in self._presses.values():
             press.epoch = self._heard_epoch
 
-    def rejection(self, client: object, kind: CommandType, now_s: float) -> str:
+    def rejection(self, client: object, now_s: float) -> str:
         """Return the reason for not following a command; empty if it is followed."""
         if (silence := self._silences.get(client)) is None:
             self._silences = {each: silence for each, silence in self._silences.items() if self._present(each)}
@@ -193,8 +188,7 @@ class CommandGate:
         let_go = silence.end()
         left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self.owner)
         if self.owner is not None and left:
-            # The selection of a client ends with its control.
-            self.owner, self._selected = None, None
+            self.owner = None
         if self.owner not in (None, client):
             return f"{client} cannot steer the arm: {self.owner} does"
         self.owner = client
@@ -209,8 +203,6 @@ class CommandGate:
         self._heard_epoch = arrival_epoch()
         if self.paused:
             return "servo is paused: unpause it by the service /servo_node/pause_servo or start_servo"
-        if self._selected is not None and kind is not self._selected:
-            return f"the command type {self._selected.name} was selected; this is a {kind.name} command"
         if self._interrupted:
             then = f", then publish {TIMEOUT_TOPIC} again," if client in self._presses else ""
             return f"{self._interrupted}; let go for {self._timeout_s:g} s{then} to steer again"
@@ -267,7 +259,7 @@ class ServoNode:
 
     def _take_command(self, kind: CommandType, published: PublishedMessage) -> None:
         client, now_s = published.publisher, self._node.clock()
-        rejection = self._gate.rejection(client, kind, now_s)
+        rejection = self._gate.rejection(client, now_s)
         if rejection and self._gate.owner is not client:
             if rejection != self._logged:
                 self._logged = rejection
@@ -306,7 +298,7 @@ class ServoNode:
             if wanted not in set(CommandType):
                 known = ", ".join(f"{kind.value} ({kind.name})" for kind in CommandType)
                 raise UnsuccessfulError({"success": False}, f"command_type must be one of {known}, not {wanted}")
-            gate.select(CommandType(wanted))
+            # The topic of a command says its type.
             return {"success": True}
 
         def pause(*, paused: bool) -> str:

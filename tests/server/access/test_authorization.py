@@ -93,7 +93,7 @@ NEEDS: dict[Role, dict[str, str]] = {
     Role.PROPOSE: {"call_service": "/moveit_goal"},
     Role.OPERATE: {
         "publish": f"{GOAL} moveit_goal_named /move_group/goal /of_a_client /dataset/episode /moveit_goal_approve "
-        "/moveit_goal_confirm /arm/speed_factor /servo_node/delta_joint_cmds",
+        "/arm/speed_factor /servo_node/delta_joint_cmds",
         "advertise": GOAL,
         "advertise_service": "/mine",
         "advertise_action": "/mine",
@@ -205,7 +205,7 @@ class TestControl:
         second, holder = world.authorizer(name="second"), world.access.lease.holder
         services = "stop emergency_stop pause set_speed_limit"
         free: list[tuple[str, str, dict[str, Any]]] = [
-            *(("publish", topic, {}) for topic in (*STOPS, "/planning_scene", "/moveit_goal_confirm")),
+            *(("publish", topic, {}) for topic in (*STOPS, "/planning_scene", "/moveit_goal_approve")),
             *(("call_service", f"/arm/{name}", {}) for name in services.split()),
             ("call_service", "/execute_trajectory/_action/cancel_goal", {}),
             ("call_service", "/plan_kinematic_path", {}),

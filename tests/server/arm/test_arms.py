@@ -9,13 +9,13 @@ import pytest
 
 from harness.clients import values_of
 from robot.calibration import save
-from robot.errors import CalibrationError, OrderRefused
+from robot.errors import CalibrationError
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import IdealConfig
 from robot.messages import ArmHealth, ArmState, BusCounters, JointHealth, Mode
 from robot.stop_epochs import STOP_EPOCHS
 from server.arm.arms import JoinedBeat, joined_robot, read_arms, without_prefix
-from server.arm.calibrating import LEAST_STATE_RATE_HZ, calibration_file, check_state_rate
+from server.arm.calibrating import calibration_file
 from server.arm.interface import LIMITS_TOPIC, STATE_TOPIC, TOPIC, ArmStateTopics, states_are_observed
 from server.arm.setup import Description
 from server.config import ArmSettings, Settings
@@ -71,21 +71,22 @@ def test_what_cannot_be_used_is_refused_with_the_name_of_the_arm() -> None:
             read_arms(settings(left=arm))
 
 
+PERIOD_S = 0.02
+
+
 def test_states_of_arms_are_told_once_a_period_and_silent_arms_and_bursts_hold_nobody_up() -> None:
-    arms, period_s, random = ("a", "b", "c"), 0.02, np.random.default_rng(3)
+    random = np.random.default_rng(3)
 
-    def told(arrivals: list[tuple[str, float]]) -> int:
-        beat = JoinedBeat(frozenset(arms), period_s)
-        return sum(beat.takes(name, at_s) for name, at_s in arrivals)
+    def told(*arrivals_s: float) -> int:
+        beat = JoinedBeat(PERIOD_S)
+        return sum(beat.takes(at_s) for at_s in sorted(arrivals_s))
 
-    in_any_order = [
-        (name, tick * period_s + number * 0.002)
-        for tick in range(100)
-        for number, name in enumerate(random.permutation(arms).tolist())
-    ]
-    assert told(in_any_order) == pytest.approx(100, abs=2)
-    assert told([(name, tick * period_s) for tick in range(100) for name in ("a", "b")]) >= 98
-    assert told([(name, burst * 0.1) for burst in range(20) for name in arms for _ in range(5)]) <= 2 * 20
+    ticks_s = PERIOD_S * np.arange(100.0)
+    # Of three arms, each with a phase of its own and a jitter of 2 ms, and of one alone.
+    several_s = ticks_s + PERIOD_S * random.random((3, 1)) + 0.002 * random.random((3, 100))
+    assert told(*several_s.ravel()) == pytest.approx(100, abs=10)
+    assert told(*ticks_s) == 100
+    assert told(*np.repeat(0.1 * np.arange(20.0), 15)) == 20
 
 
 @pytest.fixture
@@ -114,12 +115,6 @@ def test_a_name_leads_nowhere_else_and_one_is_needed_that_lerobot_has_a_place_fo
     ):
         with pytest.raises(CalibrationError, match=words):
             calibration_file(name, description)
-
-
-def test_states_that_come_too_rarely_to_follow_a_hand_refuse_a_calibration() -> None:
-    check_state_rate(LEAST_STATE_RATE_HZ)
-    with pytest.raises(OrderRefused, match=r"arm\.joint_state_rate_hz must be at least 10 Hz to calibrate, not 5"):
-        check_state_rate(5.0)
 
 
 ROBOT = so101()

@@ -23,11 +23,8 @@ class Gate:
         self.graph = Graph(REGISTRY)
         self.confirmation = confirmation.Confirmation(self.graph, enabled=False, timeout_s=timeout_s)
 
-    def say(self, data: bool | str) -> None:
-        """Decide about the goal that waits, or approve one by its id."""
-        self.graph.publish(
-            CLIENT, confirmation.APPROVE_TOPIC if isinstance(data, str) else confirmation.CONFIRM_TOPIC, {"data": data}
-        )
+    def confirm(self, goal_id: str = "7") -> None:
+        self.graph.publish(CLIENT, confirmation.APPROVE_TOPIC, {"data": goal_id})
 
     async def ask(self, *, proposed: bool = False) -> asyncio.Task[Any]:
         task = asyncio.create_task(self.confirmation.wait(goal(proposed=proposed), PLANNED))
@@ -53,46 +50,34 @@ def goal(number: str = "7", on_progress: Any = None, *, proposed: bool = False) 
 async def test_a_client_that_hears_that_a_plan_waits_can_decide_at_once(gate: Gate) -> None:
     def decide(_goal: Goal, progress: Progress) -> None:
         assert progress.state is GoalState.PLANNED
-        gate.say(True)
+        gate.confirm()
 
     assert await gate.confirmation.wait(goal(on_progress=decide), PLANNED) is None
 
 
 async def test_a_plan_that_is_not_confirmed_in_time_is_discarded() -> None:
-    for proposed, topic in ((False, confirmation.CONFIRM_TOPIC), (True, confirmation.APPROVE_TOPIC)):
-        answer: Any = await Gate(timeout_s=0.01).confirmation.wait(goal(proposed=proposed), PLANNED)
-        assert answer.code is MoveItErrorCode.TIMED_OUT
-        assert answer.message.endswith(f"not confirmed on {topic} within 0.01 s")
+    answer: Any = await Gate(timeout_s=0.01).confirmation.wait(goal(), PLANNED)
+    assert answer.code is MoveItErrorCode.TIMED_OUT
+    assert answer.message.endswith(f"not confirmed on {confirmation.APPROVE_TOPIC} within 0.01 s")
 
 
-async def test_a_decision_counts_only_for_the_plan_that_waits(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
-    gate.say(True)
-    assert "no goal waits" in caplog.text
-    task = await gate.ask()
-    assert not task.done()
-    gate.say(True)
-    gate.say(False)
-    assert await task is None
-
-
-async def test_a_proposal_is_approved_by_its_id_alone(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
-    gate.say("7")
+async def test_a_plan_is_confirmed_by_its_goals_id_alone(gate: Gate, caplog: pytest.LogCaptureFixture) -> None:
+    gate.confirm()
     assert f"{confirmation.APPROVE_TOPIC}: ignored, no goal waits" in caplog.text
-    task = await gate.ask(proposed=True)
-    # A click that was meant for the goal before, and a client that names none.
-    gate.say("6")
-    gate.say(True)
+    task = await gate.ask()
+    # A click that was meant for the goal before.
+    gate.confirm("6")
     await settle()
     assert not task.done()
     assert "goal 7 waits, not '6'" in caplog.text
-    assert f"goal 7 is approved on {confirmation.APPROVE_TOPIC}" in caplog.text
-    gate.say("7")
-    gate.say("7")
+    gate.confirm()
+    gate.confirm()
     assert await task is None
-    gate.say(False)
-    task = await gate.ask(proposed=True)
-    gate.say(False)
-    assert (await task).code is MoveItErrorCode.PREEMPTED
+    # Nor does it count for a plan that waits later.
+    gate.confirm()
+    task = await gate.ask()
+    assert not task.done()
+    task.cancel()
 
 
 async def test_the_goal_that_waits_is_latched(gate: Gate) -> None:
@@ -114,7 +99,7 @@ async def test_the_service_switches_the_mode_and_goals_of_several_groups_wait_on
     assert answered(gate.graph, confirmation.CONFIRM_MODE_SERVICE, data=True).values["success"]
     assert gate.confirmation.enabled
     first, second = (asyncio.create_task(gate.confirmation.wait(goal(number), PLANNED)) for number in "12")
-    for waiting in (first, second):
+    for number, waiting in (("1", first), ("2", second)):
         await settle()
-        gate.say(True)
+        gate.confirm(number)
         assert await asyncio.wait_for(waiting, TIMEOUT_S) is None

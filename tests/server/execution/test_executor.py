@@ -1,7 +1,6 @@
 import asyncio
 import functools
 import gc
-import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeAlias, cast
@@ -25,11 +24,11 @@ from planners.problem import (
 )
 from planners.scene import Scene
 from robot.control.pacing import PERIOD_S
-from robot.messages import ArmState, Mode, MotionEnded, Outcome, Pace, PlaybackDirection
+from robot.messages import Mode, MotionEnded, Outcome, Pace, PlaybackDirection
 from robot.trajectory import Trajectory
 from server.execution import executor as execution
 from server.execution.confirmation import Confirmation
-from server.execution.executor import MAX_SAMPLES, ExecutionContext, GoalExecutor, MotionRecorder
+from server.execution.executor import ExecutionContext, GoalExecutor
 from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.monitors import CurrentScene, CurrentState
 from server.execution.motions import (
@@ -52,7 +51,6 @@ from tests.helpers.robots import so101
 Motion: TypeAlias = PlannedMotion | ExternalTrajectory
 
 ARM = so101().groups["arm"].joints
-STATE = ArmState(5.0, Mode.MOVING, ("a", "b"), position_rad=np.array([0.1, 0.2]), velocity_rad_s=np.array([1.0, 2.0]))
 
 
 def to(group: str = "arm", **positions_rad: float) -> PlannedMotion:
@@ -536,15 +534,6 @@ async def test_a_goal_that_is_replaced_before_it_begins_leaves_the_motion_on_its
     assert stage.arm.stops == []
 
 
-async def test_states_are_no_more_recorded_once_a_motion_of_a_stream_has_ended(stage: Stage) -> None:
-    await under_way(stage)
-    await stage.begin(to(shoulder_pan=-0.2))
-    stage.goal.request = replace(stage.goal.request, streamed=True, repeated=True)
-    await stage.arrive()
-    stage.executor.recorder.take_state(STATE)
-    assert stage.executor.recorder.finish(("a",)) is None
-
-
 async def test_a_goal_whose_motion_takes_too_long_replaces_no_motion(stage: Stage) -> None:
     await under_way(stage)
     await stage.begin(to(shoulder_pan=-0.2), TimeLimits(trajectory_s=0.9))
@@ -689,33 +678,6 @@ async def test_a_goal_that_is_cancelled_as_its_replacement_is_to_be_planned_asks
     gc.collect()
     assert answer.code is MoveItErrorCode.PREEMPTED
     assert len(stage.problems) == asked
-
-
-def test_a_recording_is_a_trajectory_from_time_0() -> None:
-    recorder = MotionRecorder()
-    recorder.take_state(STATE)
-    recorder.start()
-    # Its times are of the arm's clock, though the machine's is set meanwhile.
-    for clock_s, stamp_s in ((6.0, 1e9), (6.5, 1e9 - 3600.0), (6.5, 2e9)):
-        recorder.take_state(replace(STATE, clock_s=clock_s, stamp_s=stamp_s))
-    way: Any = recorder.finish(("b",))
-    assert way.time_s.tolist() == [0.0, 0.5]
-    assert way.positions_rad.tolist() == [[0.2], [0.2]]
-    assert way.velocities_rad_s.tolist() == [[2.0], [2.0]]
-
-
-def test_a_recording_is_bounded() -> None:
-    recorder = MotionRecorder()
-    recorder.start()
-    recorder.take_state(state := replace(STATE, clock_s=0.0))
-    # It is written down when it comes: all at the end of a long motion would hold the event loop up.
-    kept = weakref.ref(state)
-    del state
-    assert kept() is None
-    for number in range(1, MAX_SAMPLES + 10):
-        recorder.take_state(replace(STATE, clock_s=float(number)))
-    way: Any = recorder.finish(("a",))
-    assert way.duration_s == MAX_SAMPLES - 1
 
 
 FINGER = smooth_move({"gripper": (0.0, 0.7)}, 1.0)

@@ -65,7 +65,7 @@ class Stage:
         monkeypatch.setattr(cameras.time, "monotonic", lambda: self.now_s)
         self.graph, self.scene = Graph(REGISTRY), scene_state()
         self.physics = SimpleNamespace(body_states={})
-        TransformsTopics(self.graph, ROBOT, 50.0)
+        TransformsTopics(self.graph, ROBOT)
         context = SimpleNamespace(
             planning=SimpleNamespace(scene_state=self.scene),
             whole=SimpleNamespace(robot=ROBOT),

@@ -18,17 +18,17 @@ from robot.description.model import RobotModel, parse
 from robot.description.servo_table import HardwareTable
 from robot.stop_epochs import STOP_EPOCHS
 from server.app import App
-from server.arm.arms import ServedArm, read_arms
+from server.arm.arms import ServedArm
 from server.arm.calibrating import Recalibrated
 from server.arm.commissioning import Ended
 from server.arm.interface import STATE_TOPIC
 from server.arm.setup import Description
 from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
 from server.execution.goal import TimeLimits
-from server.features.arms import ArmControl, resumed, with_calibration
+from server.features.arms import ArmControl, with_calibration
 from server.features.clients import PATH
 from server.features.context import ServerContext, context_of
-from server.features.moveit import MoveGroup, PlanningScene, slow_to_brake
+from server.features.moveit import PlanningScene, slow_to_brake
 from server.graph.permissions import Role
 from server.graph.topics import Graph
 from server.moveit.parameters import MoveItParameters
@@ -86,15 +86,9 @@ async def test_a_procedure_that_begins_is_shown_at_once_in_place_of_the_end_of_t
 
 def test_a_new_calibration_is_that_of_its_arm_alone(tmp_path: Path) -> None:
     settings = Settings.model_validate({"arms": {"left": {}, "right": {}}})
-    arms = read_arms(settings)
-    position_rad = dict.fromkeys(arms["left"].joint_names, 0.1)
-    recalibrated = Recalibrated("left", tmp_path / "new.json", position_rad, Ended())
-    changed = with_calibration(settings, recalibrated)
+    changed = with_calibration(settings, Recalibrated("left", tmp_path / "new.json", Ended()))
     assert (changed.arms["left"].calibration, changed.arms["left"].start_enabled) == (tmp_path / "new.json", False)
     assert changed.arms["right"] == settings.arms["right"]
-    after = resumed(arms, recalibrated)
-    assert after["left"].config.hardware == arms["left"].config.hardware.resumed(position_rad, driven=False)
-    assert after["right"] is arms["right"]
 
 
 async def document(**settings: Any) -> Any:
@@ -175,7 +169,7 @@ async def test_goals_follow_one_another_and_a_planned_trajectory_is_executed_and
 
 
 async def test_settings_reach_their_parts() -> None:
-    arm = ArmSettings(tf_rate_hz=10.0, guards=GuardSettings(gripper_torque_limit=0.3))
+    arm = ArmSettings(guards=GuardSettings(gripper_torque_limit=0.3))
     times = {"allowed_execution_duration_scaling": 3.0, "allowed_goal_duration_margin": 4.0}
     parameters = MoveItParameters(**times, publish_planning_scene_hz=2.0)
     context = context_for(so101(), Settings(arm=arm, moveit=parameters, goals=GoalSettings(max_paused_s=5.0)))
@@ -183,7 +177,6 @@ async def test_settings_reach_their_parts() -> None:
     assert gripper is not None
     assert context.goals.executors.time_limits == limits
     assert (gripper._velocity_scaling, gripper._torque_limit, gripper._time_limits) == (0.3, 0.3, limits)
-    assert MoveGroup(context)._transforms._period_s == 0.1
     assert PlanningScene(context)._interface._publisher._period_s == 0.5
 
 
@@ -232,7 +225,8 @@ async def test_a_saved_state_is_a_named_goal_and_moves_after_its_confirmation(cl
         await client.until(STATUS, lambda all_: values_of(all_[-1])["state"] == "planned")
         await client.until("/display_planned_path", lambda shown: abs(last_pan_rad(shown[-1]) - 0.3) < ARRIVED_RAD)
         assert abs(client.topics["/joint_states"][-1]["position"][0]) < ARRIVED_RAD
-        await client.goal("/moveit_goal_confirm", "std_msgs/Bool", {"data": True})
+        waiting = client.topics[STATUS][-1]["hardware_id"]
+        await client.goal("/moveit_goal_approve", "std_msgs/String", {"data": waiting})
         assert (await finished(client, 3))["val"] == 1
         assert abs(client.topics["/joint_states"][-1]["position"][0] - 0.3) < ARRIVED_RAD
     finally:

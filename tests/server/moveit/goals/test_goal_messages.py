@@ -63,27 +63,24 @@ def test_a_coordinate_that_is_not_finite_is_named(axis: str) -> None:
     assert_refused(rejection(TRANSLATOR.pose, pose_stamped("", **{axis: math.nan})), INVALID, f"position.{axis}")
 
 
-def test_a_joint_goal_beyond_limits_is_brought_within_them_in_every_joint() -> None:
-    asked = {"name": ["shoulder_pan", "elbow_flex", "knee"], "position": [9.0, 0.2, 1.0]}
-    found: Any = suggestion(asked, {"joint": "shoulder_pan", "lower_rad": -1.0, "upper_rad": 1.0}, ROBOT)
-    assert found.topic == "/moveit_goal_joints"
-    assert found.msg == {"name": ["shoulder_pan", "elbow_flex"], "position": [ROBOT.joints["shoulder_pan"].upper, 0.2]}
+def test_nothing_is_suggested_that_no_plan_has_verified() -> None:
+    for unverified in ({"nearest_m": [0.1, 0.2, 0.3]}, {"joint": "elbow_flex", "lower_rad": -1.0, "upper_rad": 1.0}):
+        assert suggestion({"name": ["elbow_flex"], "position": [9.0]}, unverified, ROBOT) is None
 
 
 def test_a_point_is_suggested_in_the_planning_frame_with_the_orientation_of_the_goal() -> None:
-    for key in ("nearest_m", "free_m"):
-        found: Any = suggestion({}, {key: [0.1, 0.2, 0.3]}, ROBOT)
-        assert found.topic == "/moveit_goal_pose"
-        assert found.msg["header"]["frame_id"] == ROBOT.root_link
-        assert found.msg["pose"]["position"] == {"x": 0.1, "y": 0.2, "z": 0.3}
-        assert "(0.100, 0.200, 0.300) m" in found.words
+    found: Any = suggestion({}, {"free_m": [0.1, 0.2, 0.3]}, ROBOT)
+    assert found.topic == "/moveit_goal_pose"
+    assert found.msg["header"]["frame_id"] == ROBOT.root_link
+    assert found.msg["pose"]["position"] == {"x": 0.1, "y": 0.2, "z": 0.3}
+    assert "(0.100, 0.200, 0.300) m" in found.words
     for free_m, repeated in (([0.1002, 0.2, 0.3], False), ([0.1, 0.2, 0.25], True)):
         told: Any = suggestion({}, {"free_m": free_m, "nearest_m": [0.1, 0.2, 0.3], "distance_m": 0.5}, ROBOT)
         assert told.msg["pose"]["position"]["z"] == free_m[2]
         assert (told.words != "that point") is repeated
-    told = suggestion(pose_stamped("base", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED)
+    told = suggestion(pose_stamped("base", TURNED, x=2.0), {"free_m": [0.5, 0.0, 0.4]}, LIFTED)
     assert told.msg["pose"]["orientation"] == TURNED
-    assert suggestion(pose_stamped("tool", TURNED, x=2.0), {"nearest_m": [0.5, 0.0, 0.4]}, LIFTED) is None
+    assert suggestion(pose_stamped("tool", TURNED, x=2.0), {"free_m": [0.5, 0.0, 0.4]}, LIFTED) is None
 
 
 LIFTED = model.parse(LIFTED_URDF, LIFTED_SRDF)

@@ -221,15 +221,15 @@ def test_a_topic_has_all_transforms_for_a_new_subscriber_and_ends_without_one(wo
 class Screen:
     """The topics, and what somebody hears who subscribes after the start."""
 
-    def __init__(self, rate_hz: float = 50.0) -> None:
+    def __init__(self) -> None:
         self.graph = Graph(REGISTRY)
-        self.topics = description.TransformsTopics(self.graph, ROBOT, rate_hz)
+        self.topics = description.TransformsTopics(self.graph, ROBOT)
         self.heard = listen(self.graph, description.TRANSFORMS_TOPIC)
         (self.static,) = listen(self.graph, description.STATIC_TRANSFORMS_TOPIC)
 
-    def show(self, clock_s: float, position_rad: float = 0.0, stamp_s: float = 0.0) -> None:
+    def show(self, position_rad: float) -> None:
         positions = np.full(len(JOINTS), position_rad)
-        self.topics.take_state(ArmState(stamp_s, Mode.HOLDING, JOINTS, position_rad=positions, clock_s=clock_s))
+        self.topics.take_state(ArmState(1.0, Mode.HOLDING, JOINTS, position_rad=positions))
 
 
 @pytest.fixture
@@ -238,7 +238,7 @@ def screen() -> Screen:
 
 
 def test_both_transform_topics_together_place_every_link_as_forward_kinematics_does(screen: Screen) -> None:
-    screen.show(1.0, 0.4)
+    screen.show(0.4)
     placed = {ROBOT.root_link: np.eye(4)}
     transforms = {
         each["child_frame_id"]: each for message in (screen.static, *screen.heard) for each in message["transforms"]
@@ -250,21 +250,6 @@ def test_both_transform_topics_together_place_every_link_as_forward_kinematics_d
         placed[link] = placed[parent] @ matrix_of(pose)
     for link, transform in FORWARD.transforms(dict.fromkeys(JOINTS, 0.4)).items():
         assert placed[link] == pytest.approx(transform, abs=1e-9)
-
-
-@pytest.mark.parametrize("rate_hz", [1.0, 50.0, 100.0])
-def test_transforms_come_at_most_at_their_rate(rate_hz: float) -> None:
-    screen = Screen(rate_hz)
-    for tick in range(100):
-        screen.show(10.0 + tick * 0.01)
-    assert len(screen.heard) == pytest.approx(rate_hz, abs=1)
-
-
-@pytest.mark.parametrize("jump_s", [3600.0, -3600.0, 6.3e8, -6.3e8])
-def test_a_clock_that_is_set_neither_silences_transforms_nor_brings_more(screen: Screen, jump_s: float) -> None:
-    for tick in range(100):
-        screen.show(10.0 + tick * 0.01, stamp_s=1e9 + tick * 0.01 + (tick % 2) * jump_s)
-    assert len(screen.heard) == pytest.approx(50, abs=1)
 
 
 def test_a_disconnected_arm_has_no_transforms(screen: Screen) -> None:

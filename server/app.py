@@ -30,6 +30,7 @@ from server.features.arms import (
     CommissioningOfArms,
     PolicyChunks,
     SimulatedTime,
+    resumed,
     teaching_of,
     teleoperation_of,
     with_calibration,
@@ -111,6 +112,8 @@ class App:
         notifier: SystemdNotifier | None = None,
     ) -> None:
         files = read_arms(settings, None if inherited is None else inherited.description)
+        if recalibrated is not None:
+            files = resumed(files, recalibrated)
         # An arm whose clock is faster than the machine's gives the time of all stamps.
         simulated = settings.simulation.rate != 1.0
         self.graph = Graph(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robot.arm import ORDER_TIMEOUT_S, SILENT_S, Arm
-from robot.calibration import Calibration, lerobot_directories, reserved, save
+from robot.calibration import TICKS_PER_TURN, Calibration, lerobot_directories, reserved, save
 from robot.commissioning.session import Act, CalibrationSession, asked_motions
 from robot.errors import CalibrationError, OrderRefused
 from robot.messages import ArmHealth, ArmState, Mode, Order
@@ -28,10 +28,11 @@ HOMING_OFFSET = "HOMING_OFFSET"
 
 @dataclass(frozen=True)
 class Recalibrated:
-    """New calibration of an arm, with which the server starts again."""
+    """New calibration of the arm, with which the server starts again, and the joints' positions under it [rad]."""
 
     arm: str
     file: Path
+    position_rad: Mapping[str, float]
     ended: Ended
 
 
@@ -87,7 +88,10 @@ class CalibrationProcedure:
             f"Verify it before anything else moves.{name}"
         )
         dialogue.findings = [*session.findings]
-        self._start_anew(Recalibrated(self._served.name, self._file, Ended(result, tuple(dialogue.findings))))
+        position_rad = self._positions_rad(session.calibration.with_zero_offsets(self._trims_rad))
+        self._start_anew(
+            Recalibrated(self._served.name, self._file, position_rad, Ended(result, tuple(dialogue.findings)))
+        )
         return result
 
     def take_state(self, state: ArmState, dialogue: Dialogue) -> None:
@@ -158,6 +162,16 @@ class CalibrationProcedure:
         joints = {joint.joint: joint for joint in self._present.joints}
         each = zip(state.joint_names, state.position_rad.tolist(), strict=True)
         return {joints[name].servo_id: joints[name].ticks_from_rad(position) for name, position in each}
+
+    def _positions_rad(self, calibration: Calibration) -> dict[str, float]:
+        """Return where the joints are under a new calibration: the encoders stand where they stood."""
+        ranges = {each.joint: each for each in self._session.ranges()}
+        position_rad = {}
+        for joint in calibration.joints:
+            encoder = ranges[joint.joint].present + self._offsets[joint.servo_id]
+            ticks = (encoder - joint.homing_offset) % TICKS_PER_TURN
+            position_rad[joint.joint] = joint.rad_from_ticks(ticks)
+        return position_rad
 
 
 def calibration_file(name: str, description: Description) -> tuple[Path, bool]:

@@ -3,7 +3,8 @@
 import asyncio
 import functools
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from protocol.messages import Stamp
 from robot.arm_group import ArmGroup
@@ -11,7 +12,7 @@ from robot.errors import OrderRefused
 from robot.messages import ArmHealth, ArmState
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.control_lease import ControlServices
-from server.arm.arms import read_now
+from server.arm.arms import ArmFiles, read_now
 from server.arm.calibrating import CalibrationProcedure, Recalibrated, calibration_file
 from server.arm.commissioning import BEGIN, Commissioning, Ended, Procedure
 from server.arm.interface import TOPIC as JOINT_STATES
@@ -144,6 +145,13 @@ def with_calibration(settings: Settings, recalibrated: Recalibrated) -> Settings
         return settings.model_copy(update={"arm": settings.arm.model_copy(update=update)})
     arm = settings.arms[recalibrated.arm].model_copy(update=update)
     return settings.model_copy(update={"arms": {**settings.arms, recalibrated.arm: arm}})
+
+
+def resumed(arms: Mapping[str, ArmFiles], recalibrated: Recalibrated) -> dict[str, ArmFiles]:
+    """Return the arms with the positions that one of them has under its new calibration."""
+    found = arms[recalibrated.arm]
+    hardware = found.config.hardware.resumed(recalibrated.position_rad, driven=False)
+    return {**arms, recalibrated.arm: replace(found, config=replace(found.config, hardware=hardware))}
 
 
 def teaching_of(context: ServerContext) -> Teaching:

@@ -18,14 +18,14 @@ from robot.description.model import RobotModel, parse
 from robot.description.servo_table import HardwareTable
 from robot.stop_epochs import STOP_EPOCHS
 from server.app import App
-from server.arm.arms import ServedArm
+from server.arm.arms import ServedArm, read_arms
 from server.arm.calibrating import Recalibrated
 from server.arm.commissioning import Ended
 from server.arm.interface import STATE_TOPIC
 from server.arm.setup import Description
 from server.config import ArmSettings, GoalSettings, GuardSettings, Settings
 from server.execution.goal import TimeLimits
-from server.features.arms import ArmControl, with_calibration
+from server.features.arms import ArmControl, resumed, with_calibration
 from server.features.clients import PATH
 from server.features.context import ServerContext, context_of
 from server.features.moveit import PlanningScene, slow_to_brake
@@ -86,9 +86,15 @@ async def test_a_procedure_that_begins_is_shown_at_once_in_place_of_the_end_of_t
 
 def test_a_new_calibration_is_that_of_its_arm_alone(tmp_path: Path) -> None:
     settings = Settings.model_validate({"arms": {"left": {}, "right": {}}})
-    changed = with_calibration(settings, Recalibrated("left", tmp_path / "new.json", Ended()))
+    arms = read_arms(settings)
+    position_rad = dict.fromkeys(arms["left"].joint_names, 0.1)
+    recalibrated = Recalibrated("left", tmp_path / "new.json", position_rad, Ended())
+    changed = with_calibration(settings, recalibrated)
     assert (changed.arms["left"].calibration, changed.arms["left"].start_enabled) == (tmp_path / "new.json", False)
     assert changed.arms["right"] == settings.arms["right"]
+    after = resumed(arms, recalibrated)
+    assert after["left"].config.hardware == arms["left"].config.hardware.resumed(position_rad, driven=False)
+    assert after["right"] is arms["right"]
 
 
 async def document(**settings: Any) -> Any:

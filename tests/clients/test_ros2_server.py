@@ -11,7 +11,12 @@ from harness.server import RunningServer
 from harness.waiting import wait_until
 
 GRIPPER = Joined("/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand")
-STOPS = [Joined("/stop", "std_msgs/msg/Empty"), Joined("/arm/stop", ""), Joined("/arm/emergency_stop", "")]
+STOPS = [
+    Joined("/stop", "std_msgs/msg/Empty"),
+    Joined("/trajectory_execution_event", "std_msgs/msg/String"),
+    Joined("/arm/stop", ""),
+    Joined("/arm/emergency_stop", ""),
+]
 
 
 @pytest.fixture
@@ -41,7 +46,7 @@ def test_a_goal_is_not_sent_behind_a_stop_that_came_after_it(connection: Server,
     came = connection.stops
     if stop.type:
         connection.advertise(stop.name, stop.type)
-        assert connection.publish(stop.name, {})
+        assert connection.publish(stop.name, {"data": "stop"} if stop.type.endswith("String") else {})
     else:
         connection.call(stop.name, {}).result(60.0)
     with pytest.raises(RuntimeError, match="gripper_cmd: the goal was not sent: a stop came after it"):

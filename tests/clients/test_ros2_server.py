@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from armbridge_ros2.interfaces import Joined
+from armbridge_ros2.interfaces import Joined, to_json
 from armbridge_ros2.server import Server
 from harness.server import RunningServer
 from harness.waiting import wait_until
@@ -39,6 +39,10 @@ def test_a_goal_gets_feedback_and_its_result(connection: Server) -> None:
     end = grip(connection, connection.stops, feedback)
     assert (end["status"], end["values"]["reached_goal"]) == (4, True)
     assert feedback
+
+
+def test_a_byte_of_rclpy_is_a_number_as_in_the_operation_of_an_object() -> None:
+    assert to_json([b"\1", [b"\0", b"\2"]]) == [1, [0, 2]]
 
 
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)

@@ -84,7 +84,8 @@ def to_json(value: Any) -> Any:
     if hasattr(value, "get_fields_and_field_types"):
         return {name: to_json(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, bytes):
-        return list(value)
+        # rclpy has a byte as bytes of length 1, as the operation of a CollisionObject, and byte[] as a list of them.
+        return value[0]
     if isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, Sequence | array.array) or hasattr(value, "tolist"):

@@ -1,6 +1,7 @@
 """The connection of clients/ros2, without ROS: what the node sends to a real server, and in which order."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pytest
@@ -20,8 +21,19 @@ STOPS = [
 
 
 @pytest.fixture
-def connection(server: RunningServer) -> Iterator[Server]:
-    reports: list[str] = []
+def reports() -> list[str]:
+    """What the connection reports."""
+    return []
+
+
+@pytest.fixture
+def connection(server: RunningServer, reports: list[str]) -> Iterator[Server]:
+    with connected(server, reports) as made:
+        yield made
+
+
+@contextmanager
+def connected(server: RunningServer, reports: list[str]) -> Iterator[Server]:
     made = Server(f"ws://127.0.0.1:{server.port}", "", lambda topic, message: None, reports.append)
     made.start()
     wait_until(lambda: reports)
@@ -39,6 +51,18 @@ def test_a_goal_gets_feedback_and_its_result(connection: Server) -> None:
     end = grip(connection, connection.stops, feedback)
     assert (end["status"], end["values"]["reached_goal"]) == (4, True)
     assert feedback
+
+
+def test_a_refused_call_is_reported_by_its_answer_alone(
+    server: RunningServer, connection: Server, reports: list[str]
+) -> None:
+    with connected(server, []) as other:
+        other.call("/arm/take_control", {}).result(60.0)
+        with pytest.raises(RuntimeError, match="/arm/enable: client"):
+            connection.call("/arm/enable", {}).result(60.0)
+    connection.advertise("/stop", "std_msgs/msg/String")
+    wait_until(lambda: len(reports) == 2)
+    assert reports[1].startswith("refused: advertise")
 
 
 def test_a_byte_of_rclpy_is_a_number_as_in_the_operation_of_an_object() -> None:

@@ -83,6 +83,9 @@ class Bridge(Node):
     def _report(self, sentence: str) -> None:
         self.get_logger().info(sentence)
 
+    def _log_refusal(self, joined: Joined, sentence: str) -> None:
+        self.get_logger().error(sentence if joined.name in sentence else f"{joined.name}: {sentence}")
+
     def _join(self, joined: Joined, join: Any) -> None:
         try:
             message_class = ros_class(joined.type)
@@ -111,7 +114,7 @@ class Bridge(Node):
                 return fill(response, self._answer(service.name, request))
             except (ConnectionError, RuntimeError, concurrent.futures.TimeoutError) as error:
                 sentence = str(error) or f"no answer within {ANSWER_TIMEOUT_S:g} s"
-                self.get_logger().error(f"{service.name}: {sentence}")
+                self._log_refusal(service, sentence)
                 # A ROS service has no way to refuse.
                 return refused(response, sentence)
 
@@ -174,7 +177,7 @@ class Bridge(Node):
                     cancelled = True
             end = answer.result()
         except (ConnectionError, RuntimeError) as error:
-            self.get_logger().error(f"{action.name}: {error}")
+            self._log_refusal(action, str(error))
             goal.abort()
             return refused(result, str(error))
         fill(result, end["values"])

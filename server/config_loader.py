@@ -47,9 +47,19 @@ def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Set
         # Settings itself reads the environment, below what it is called with.
         return Settings(**functools.reduce(_merged, layers.values())), sources
     except SettingsError as error:
-        raise ConfigurationError(f"environment: {error}") from error
+        raise ConfigurationError(_unreadable(error)) from error
     except ValidationError as error:
         raise ConfigurationError("; ".join(_sentence(each, sources) for each in error.errors())) from error
+
+
+def _unreadable(error: SettingsError) -> str:
+    """Name the variable of a list or table that is not JSON, as the error does not; its value may be secret."""
+    text = getattr(error.__cause__, "doc", None)
+    names = [name for name, value in os.environ.items() if name.upper().startswith(PREFIX) and value == text]
+    if not names:
+        return f"environment: {error}"
+    example = """a list as in ["first", "second"], or a table as in {"name": "value"}"""
+    return f"environment variable {' or '.join(names)}: must be JSON, {example}"
 
 
 def _check_values(values: dict[str, Any], layers: Iterable[dict[str, Any]], places: dict[str, str]) -> None:

@@ -10,9 +10,11 @@ from base64 import b64decode, b64encode
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from planners.problem import MoveItErrorCode
 from protocol.codecs import cdr
 from protocol.errors import MessageError
 from protocol.operations import SendActionGoal
+from protocol.registry import Registry
 from protocol.type_descriptions import message_hash, service_hash
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer, rule_of_service
@@ -22,6 +24,7 @@ from server.graph.actions import ENDED_KEPT_S, MAX_GOAL_S, ActionGoal, GoalStatu
 from server.graph.message_types import ReceivedMessage
 from server.graph.providers import CompleteResponse
 from server.graph.services import LOCAL_TIMEOUT_S, Response, answer
+from server.moveit.messages import error_code
 from server.timers import call_in_loop
 from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of
@@ -333,6 +336,23 @@ class OfferedGoals:
         return {"status": int(result.status), "result": values}
 
 
+# MoveIt's code of a result.
+ERROR_CODES = "moveit_msgs/msg/MoveItErrorCodes"
+
+
+def failure_fields(registry: Registry, type_name: str, reason: str) -> dict[str, Any]:
+    """Return the fields by which a response of a type, or a part of it, reports a failure; empty if it has none."""
+    if type_name == ERROR_CODES:
+        return error_code(MoveItErrorCode.FAILURE, reason)
+    fields = {field.name: field.base for field in registry.message(type_name).fields if field.array is None}
+    if fields.get("success") == "bool":
+        return {"success": False, **({"message": reason} if "message" in fields else {})}
+    # Of GetMotionPlan the code is in a part.
+    parts = {name: base for name, base in fields.items() if base == ERROR_CODES or base.endswith("Response")}
+    found = {name: failure_fields(registry, base, reason) for name, base in parts.items()}
+    return {name: part for name, part in found.items() if part}
+
+
 # Calls of all other machines in progress; at worst each is a plan or a motion, which takes its time.
 MAX_INCOMING_CALLS = 64
 
@@ -372,10 +392,15 @@ class OfferedService:
     def reply(self, call: IncomingCall, response: Response) -> None:
         """Send the response, or the sentence of a failed call; in the session's thread."""
         try:
+            type_name, values = f"{self.endpoint.type_name}_Response", response.values
             if not response.ok:
                 call.query.reply_err(str(response.values).encode())
-                return
-            octets = cdr.serialize(self._network.registry, f"{self.endpoint.type_name}_Response", response.values)
+                # rmw_zenoh logs an error's sentence and goes on waiting for a response (rmw_client_data.cpp).
+                fields = failure_fields(self._network.registry, type_name, str(response.values))
+                if not fields:
+                    return
+                values = self._network.graph.message_types.complete(type_name, fields)
+            octets = cdr.serialize(self._network.registry, type_name, values)
             # rmw_zenoh matches response and call by the attachment of the request.
             sender = call.sender or Attachment(0, 0, bytes(GID_BYTES))
             attachment = sender._replace(source_timestamp_ns=time.time_ns()).encode()

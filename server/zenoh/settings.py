@@ -36,6 +36,7 @@ STATE_TOPICS = (
     "/tf",
     "/tf_static",
     "/robot_description",
+    "/robot_description_semantic",
     "/diagnostics",
     "/arm/*",
     "/moveit_goal_status",

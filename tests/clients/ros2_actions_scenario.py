@@ -7,12 +7,15 @@ from typing import Any
 
 import rclpy
 from control_msgs.action import FollowJointTrajectory, GripperCommand
+from geometry_msgs.msg import Pose
 from moveit_msgs.action import MoveGroup
-from moveit_msgs.msg import Constraints, JointConstraint
+from moveit_msgs.msg import CollisionObject, Constraints, JointConstraint, PlanningScene
 from moveit_msgs.srv import GetPositionFK
 from rclpy.action import ActionClient
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from shape_msgs.msg import SolidPrimitive
+from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectoryPoint
 
 TIMEOUT_S = 120.0
@@ -36,15 +39,15 @@ def wait(future: Any) -> Any:
     return future.result()
 
 
-def carry_out(action: Any, name: str, goal: Any, cancel: bool = False) -> tuple[int, Any, int]:
-    """Return status, result and number of feedback messages; cancel after the first."""
+def carry_out(action: Any, name: str, goal: Any, end: Callable[[Any], Any] | None = None) -> tuple[int, Any, int]:
+    """Return status, result and number of feedback messages; after the first feedback end the goal."""
     client = ActionClient(node, action, name)
     spin(client.server_is_ready)
     feedback: list[Any] = []
     handle = wait(client.send_goal_async(goal, feedback.append))
-    if cancel:
+    if end is not None:
         spin(lambda: feedback)
-        handle.cancel_goal_async()
+        end(handle)
     answer = wait(handle.get_result_async())
     return answer.status, answer.result, len(feedback)
 
@@ -66,8 +69,15 @@ spin(lambda: states)
 FOLLOW = "/arm_controller/follow_joint_trajectory"
 status, result, count = carry_out(FollowJointTrajectory, FOLLOW, path(0.5, 1))
 seen: dict[str, Any] = {"followed": [status, result.error_code, count > 0]}
-status, result, count = carry_out(FollowJointTrajectory, FOLLOW, path(-0.5, 30), cancel=True)
+status, result, count = carry_out(FollowJointTrajectory, FOLLOW, path(-0.5, 30), lambda goal: goal.cancel_goal_async())
 seen["cancelled"] = status
+# As MoveGroupInterface and pymoveit2 stop.
+events = node.create_publisher(String, "/trajectory_execution_event", 1)
+spin(events.get_subscription_count)
+status, result, count = carry_out(
+    FollowJointTrajectory, FOLLOW, path(-0.5, 30), lambda _: events.publish(String(data="stop"))
+)
+seen["stopped"] = [status, result.error_string]
 status, result, count = carry_out(FollowJointTrajectory, FOLLOW, path(9.0, 5))
 seen["refused"] = [status, result.error_string]
 gripper = GripperCommand.Goal()
@@ -85,4 +95,19 @@ kinematics = node.create_client(GetPositionFK, "/compute_fk")
 kinematics.wait_for_service(TIMEOUT_S)
 poses = wait(kinematics.call_async(GetPositionFK.Request(fk_link_names=["gripper_frame_link"])))
 seen["pose"] = [poses.error_code.val, poses.pose_stamped[0].header.frame_id]
+poses = wait(kinematics.call_async(GetPositionFK.Request(fk_link_names=["gripper_link"] * 300)))
+seen["too many"] = [poses.error_code.val, poses.error_code.message]
+# A box around the tip, as pymoveit2 adds it.
+box = CollisionObject(id="box", operation=CollisionObject.ADD)
+box.header.frame_id = "gripper_frame_link"
+box.primitives, box.primitive_poses = [SolidPrimitive(type=SolidPrimitive.BOX, dimensions=[0.1, 0.1, 0.1])], [Pose()]
+objects = node.create_publisher(CollisionObject, "/collision_object", 10)
+spin(objects.get_subscription_count)
+objects.publish(box)
+scenes: list[PlanningScene] = []
+node.create_subscription(PlanningScene, "/monitored_planning_scene", scenes.append, 10)
+spin(lambda: any(each.world.collision_objects for each in scenes))
+status, result, count = carry_out(MoveGroup, "/move_action", move)
+seen["in contact"] = [status, result.error_code.val]
+objects.publish(CollisionObject(id="box", operation=CollisionObject.REMOVE))
 print(json.dumps(seen))

@@ -6,22 +6,11 @@ import sys
 import sysconfig
 from pathlib import Path
 
+from armbridge_ros2.interfaces import ACTIONS, FROM_SERVER, SERVICES, TO_SERVER
 from protocol import type_descriptions
 from protocol.registry import Registry
 
-WANTED = (
-    "control_msgs/action/FollowJointTrajectory",
-    "control_msgs/action/GripperCommand",
-    "moveit_msgs/action/MoveGroup",
-    "moveit_msgs/action/ExecuteTrajectory",
-    "moveit_msgs/srv/GetPositionIK",
-    "moveit_msgs/srv/GetPositionFK",
-    "moveit_msgs/srv/GetCartesianPath",
-    "moveit_msgs/srv/GetMotionPlan",
-    "moveit_msgs/srv/GetPlanningScene",
-    "moveit_msgs/srv/ApplyPlanningScene",
-    "tf2_msgs/msg/TFMessage",
-)
+WANTED = sorted({each.type for each in (*FROM_SERVER, *TO_SERVER, *SERVICES, *ACTIONS)})
 # The folders of Python and numpy on the machine where the published packages were compiled.
 PUBLISHED_PYTHON = "/opt/python/cp311-cp311"
 SEPARATOR = "=" * 80
@@ -107,11 +96,12 @@ def main(prefix: Path) -> None:
         "AMENT_PREFIX_PATH": str(prefix),
         "CMAKE_PREFIX_PATH": str(prefix),
     }
-    missing = [package for package in files if not (share / package).exists()]
+    sources = prefix / "interfaces" / "source"
+    missing = [package for package in files if not (share / package).exists() or (sources / package).exists()]
     while missing:
         package = next(each for each in missing if not needs[each] & set(missing))
         missing.remove(package)
-        source, target = (prefix / "interfaces" / kind / package for kind in ("source", "build"))
+        source, target = sources / package, prefix / "interfaces" / "build" / package
         uses_actions = any(path.startswith("action/") for path in files[package])
         write_package(source, package, files[package], needs[package] | ({"action_msgs"} if uses_actions else set()))
         configure = ["cmake", "-S", source, "-B", target, f"-DCMAKE_INSTALL_PREFIX={prefix}", "-DBUILD_TESTING=OFF"]

@@ -63,8 +63,13 @@ def test_action_clients_of_ros_2_get_feedback_results_and_cancel() -> None:
     seen = heard_by("ros2_actions_scenario.py")
     assert seen["followed"] == [SUCCEEDED, 0, True]
     assert seen["cancelled"] == CANCELED
+    assert seen["stopped"][0] == ABORTED
+    assert "/trajectory_execution_event" in seen["stopped"][1]
     assert seen["refused"][0] == ABORTED
     assert "shoulder_pan" in seen["refused"][1]
     assert seen["gripper"] == [SUCCEEDED, True, 1.0]
     assert seen["moved"] == [SUCCEEDED, 1, True]
     assert seen["pose"] == [1, "base_link"]
+    assert seen["too many"][0] == 99999
+    assert "fk_link_names" in seen["too many"][1]
+    assert seen["in contact"] == [ABORTED, -10]

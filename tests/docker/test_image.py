@@ -60,9 +60,9 @@ def test_make_installs_exactly_what_a_lock_names() -> None:
 
 
 def test_the_server_is_nobody_in_particular_and_may_open_a_servo_adapter() -> None:
-    assert RUNTIME["USER"] == "armbridge"
+    assert RUNTIME["USER"] == "1000"
     (added,) = [rest for word, rest in ALL if word == "RUN" and "useradd" in rest]
-    assert "--groups dialout" in added
+    assert "useradd --uid 1000 --groups dialout" in added
 
 
 def test_without_arguments_it_serves_the_simulated_arm_to_other_machines(capsys: pytest.CaptureFixture[str]) -> None:

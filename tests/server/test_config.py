@@ -104,6 +104,13 @@ def test_arms_that_cannot_be_together_are_refused(tmp_path) -> None:
         load(None, {"arm": {"robot": "so101"}, "arms": {"left": {}}})
 
 
+def test_a_list_in_the_environment_that_is_not_json_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ARMBRIDGE_ACCESS__ALLOWED_HOSTS", "lab-pc")
+    with pytest.raises(ConfigurationError, match="ACCESS__ALLOWED_HOSTS: must be JSON, a list as in") as refused:
+        load(None, {})
+    assert "lab-pc" not in str(refused.value)
+
+
 def test_arms_come_from_the_environment_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ARMBRIDGE_ARMS__LEFT__START_ENABLED", "false")
     monkeypatch.setenv("ARMBRIDGE_ARMS__LEFT__BASE_XYZ_M", "[0.0, 0.2, 0.0]")

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
@@ -49,11 +50,14 @@ class Bridge(Node):
 
     def __init__(self) -> None:
         super().__init__("armbridge")
-        url: str = self.declare_parameter("url", "ws://127.0.0.1:9090").value
-        token_file: str = self.declare_parameter("token_file", "").value
+        # Read once: a node that took another value later would go on with the first.
+        fixed = ParameterDescriptor(read_only=True)
+        url: str = self.declare_parameter("url", "ws://127.0.0.1:9090", fixed).value
+        token_file: str = self.declare_parameter("token_file", "", fixed).value
         token = Path(token_file).read_text().strip() if token_file else ""
         self._from_server: dict[str, Any] = {}
         self._action_servers: list[ActionServer[Any, Any, Any]] = []
+        self._left_out: dict[str, list[str]] = {}
         self._connection = Server(url, token, self._on_message, self._report)
         # One after the other: of a goal and a stop that wait together the stop, the last of the list, goes last.
         self._in_order = MutuallyExclusiveCallbackGroup()
@@ -67,6 +71,8 @@ class Bridge(Node):
             self._join(service, self._offer_service)
         for action in ACTIONS:
             self._join(action, self._offer_action)
+        for package, names in self._left_out.items():
+            self.get_logger().info(f"{package} is not installed here; left out: {', '.join(names)}")
         self._connection.start()
 
     def close(self) -> None:
@@ -77,11 +83,14 @@ class Bridge(Node):
     def _report(self, sentence: str) -> None:
         self.get_logger().info(sentence)
 
+    def _log_refusal(self, joined: Joined, sentence: str) -> None:
+        self.get_logger().error(sentence if joined.name in sentence else f"{joined.name}: {sentence}")
+
     def _join(self, joined: Joined, join: Any) -> None:
         try:
             message_class = ros_class(joined.type)
         except ImportError:
-            self.get_logger().info(f"{joined.name} is left out: {joined.type.split('/')[0]} is not installed here")
+            self._left_out.setdefault(joined.type.split("/")[0], []).append(joined.name)
             return
         join(joined, message_class)
 
@@ -104,12 +113,10 @@ class Bridge(Node):
             try:
                 return fill(response, self._answer(service.name, request))
             except (ConnectionError, RuntimeError, concurrent.futures.TimeoutError) as error:
-                # A ROS service has no way to refuse; many have a field for a sentence.
                 sentence = str(error) or f"no answer within {ANSWER_TIMEOUT_S:g} s"
-                self.get_logger().error(f"{service.name}: {sentence}")
-                if hasattr(response, "message"):
-                    response.message = sentence
-                return response
+                self._log_refusal(service, sentence)
+                # A ROS service has no way to refuse.
+                return refused(response, sentence)
 
         self.create_service(service_class, service.name, ask, callback_group=self._side_by_side)
 
@@ -170,7 +177,7 @@ class Bridge(Node):
                     cancelled = True
             end = answer.result()
         except (ConnectionError, RuntimeError) as error:
-            self.get_logger().error(f"{action.name}: {error}")
+            self._log_refusal(action, str(error))
             goal.abort()
             return refused(result, str(error))
         fill(result, end["values"])

@@ -29,14 +29,20 @@ FROM_SERVER = (
     Joined("/arm/state", "diagnostic_msgs/msg/DiagnosticStatus", latched=True),
     Joined("/moveit_goal_status", "diagnostic_msgs/msg/DiagnosticStatus"),
     Joined("/moveit_goal_result", "moveit_msgs/msg/MoveItErrorCodes"),
-    Joined("/planning_scene", "moveit_msgs/msg/PlanningScene"),
+    Joined("/monitored_planning_scene", "moveit_msgs/msg/PlanningScene"),
+    Joined("/display_planned_path", "moveit_msgs/msg/DisplayTrajectory", latched=True),
 )
-# A stop is last: of messages that wait together the last of the list is passed on last.
+# Stops are last: of messages that wait together the last of the list is passed on last.
 TO_SERVER = (
     Joined("/moveit_goal_named", "std_msgs/msg/String"),
     Joined("/moveit_goal_joints", "sensor_msgs/msg/JointState"),
     Joined("/moveit_goal_pose", "geometry_msgs/msg/PoseStamped"),
     Joined("/arm_controller/joint_trajectory", "trajectory_msgs/msg/JointTrajectory"),
+    Joined("/planning_scene", "moveit_msgs/msg/PlanningScene"),
+    Joined("/collision_object", "moveit_msgs/msg/CollisionObject"),
+    Joined("/attached_collision_object", "moveit_msgs/msg/AttachedCollisionObject"),
+    # By which MoveGroupInterface and pymoveit2 stop the arm.
+    Joined("/trajectory_execution_event", "std_msgs/msg/String"),
     Joined("/stop", "std_msgs/msg/Empty"),
 )
 SERVICES = (
@@ -47,7 +53,11 @@ SERVICES = (
     Joined("/compute_ik", "moveit_msgs/srv/GetPositionIK"),
     Joined("/compute_fk", "moveit_msgs/srv/GetPositionFK"),
     Joined("/compute_cartesian_path", "moveit_msgs/srv/GetCartesianPath"),
+    Joined("/check_state_validity", "moveit_msgs/srv/GetStateValidity"),
     Joined("/plan_kinematic_path", "moveit_msgs/srv/GetMotionPlan"),
+    Joined("/query_planner_interface", "moveit_msgs/srv/QueryPlannerInterfaces"),
+    Joined("/get_planner_params", "moveit_msgs/srv/GetPlannerParams"),
+    Joined("/set_planner_params", "moveit_msgs/srv/SetPlannerParams"),
     Joined("/get_planning_scene", "moveit_msgs/srv/GetPlanningScene"),
     Joined("/apply_planning_scene", "moveit_msgs/srv/ApplyPlanningScene"),
 )
@@ -74,7 +84,8 @@ def to_json(value: Any) -> Any:
     if hasattr(value, "get_fields_and_field_types"):
         return {name: to_json(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, bytes):
-        return list(value)
+        # rclpy has a byte as bytes of length 1, as the operation of a CollisionObject, and byte[] as a list of them.
+        return value[0]
     if isinstance(value, str | bool | int | float):
         return value
     if isinstance(value, Sequence | array.array) or hasattr(value, "tolist"):
@@ -90,15 +101,19 @@ def fill(message: Any, values: Mapping[str, Any]) -> Any:
     return message
 
 
-def refused(result: Any, sentence: str) -> Any:
-    """Return an action's result that names a failure of the bridge, where its type has fields for one."""
-    if hasattr(result, "error_string"):
+def refused(answer: Any, sentence: str) -> Any:
+    """Return an action's result, or a service's response, that names a failure, where its type has fields for one."""
+    if hasattr(answer, "error_string"):
         # control_msgs/FollowJointTrajectory: INVALID_GOAL
-        result.error_code, result.error_string = -1, sentence
-    elif hasattr(result, "error_code"):
+        answer.error_code, answer.error_string = -1, sentence
+    elif hasattr(answer, "error_code"):
         # moveit_msgs/MoveItErrorCodes: FAILURE; its sentence is younger than ROS 2 Humble.
-        fill(result.error_code, {"val": 99999, "message": sentence})
-    return result
+        fill(answer.error_code, {"val": 99999, "message": sentence})
+    elif hasattr(answer, "motion_plan_response"):
+        refused(answer.motion_plan_response, sentence)
+    elif hasattr(answer, "message"):
+        answer.message = sentence
+    return answer
 
 
 def _value(present: Any, type_name: str, value: Any) -> Any:

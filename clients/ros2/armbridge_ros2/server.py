@@ -19,6 +19,8 @@ LONGEST_PAUSE_S = 10.0
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 # Topic and services that stop the arm.
 STOPS = frozenset({"/stop", "/arm/stop", "/arm/emergency_stop"})
+# MoveIt's topic that stops the arm by one word, and the message.
+STOP_EVENT = ("/trajectory_execution_event", {"data": "stop"})
 
 
 class Server:
@@ -144,7 +146,7 @@ class Server:
 
     def _send_in_order(self, name: str, operation: dict[str, Any], stops: int | None = None) -> bool:
         with self._in_order:
-            if name in STOPS:
+            if name in STOPS or (name, operation.get("msg")) == STOP_EVENT:
                 self._stops += 1
             elif stops is not None and stops != self._stops:
                 raise RuntimeError(f"{name}: the goal was not sent: a stop came after it")
@@ -209,7 +211,8 @@ class Server:
                     answer.set_result(operation if operation["op"] == "action_result" else operation["values"])
                 elif answer is not None:
                     answer.set_exception(RuntimeError(str(operation["values"])))
-            case "status":
+            # The answer of a call or goal says the same.
+            case "status" if operation.get("id") not in self._calls:
                 self._report(f"refused: {operation['msg']}")
             case _:
                 pass

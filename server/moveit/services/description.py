@@ -23,6 +23,7 @@ from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.joined import chain_lengths_m
 from robot.description.model import RobotModel
 from robot.description.srdf import Group
+from robot.logs import LogLimiter
 from robot.messages import ArmState
 from server.disk import Disk
 from server.errors import RefusedError, ServiceError
@@ -165,6 +166,7 @@ class TransformRepublisher:
         self._goals: dict[ActionGoal, _Subscription] = {}
         self._topics: dict[str, _Subscription] = {}
         self._numbers = itertools.count(1)
+        self._warnings = LogLimiter()
         self._node.offer_action(ACTION, ACTION_TYPE, self._start, LIMITS, rule=LOOKING, max_goal_s=MAX_GOAL_S)
         self._node.offer(SERVICE, SERVICE_TYPE, self._republish, limits=LIMITS, rule=LOOKING)
 
@@ -195,7 +197,9 @@ class TransformRepublisher:
         """Return the pose of a frame in another one; None where one of them is unknown."""
         try:
             return seen_from(*(self._frames.resolve(frame, positions_rad) for frame in (target, source)))
-        except RefusedError:
+        except RefusedError as error:
+            # As a name that is misspelt: its client would wait for it in silence.
+            self._warnings.write(log, logging.WARNING, f"{ACTION}: {error}", (target, source))
             return None
 
     def _start(self, goal: ActionGoal) -> None:

@@ -1,12 +1,17 @@
 import asyncio
+import functools
 from typing import Any
 
 import pytest
 import zenoh
 
 from harness.waiting import until
+from protocol.codecs import cdr
+from protocol.type_descriptions import service_hash
 from server.errors import ServiceError
 from server.zenoh import services
+from server.zenoh.rmw import Endpoint
+from tests.helpers.messages import REGISTRY
 from tests.helpers.zenoh_network import TRIGGER_KEY, RosMachine, Site, attached, networked
 
 TRIGGER = "std_srvs/srv/Trigger"
@@ -78,16 +83,45 @@ async def test_a_service_that_refuses_says_why_in_its_response() -> None:
 async def test_a_bad_request_is_refused(max_bytes: int, payload: bytes) -> None:
     async with networked(max_message_bytes=max_bytes, offer=("/arm/*",)) as (site, machine):
         requests = offered(site)
-        (reply,) = await replies(machine, payload=payload)
+        refused, answered = await replies(machine, payload=payload)
     assert requests == []
-    assert failure(reply).startswith("Service /arm/stop: message: wanted CDR")
+    assert failure(refused).startswith("Service /arm/stop: message: wanted CDR")
+    # rmw_zenoh logs the refusal, and waits for a response.
+    assert answered.ok is not None
+    assert bytes(answered.ok.payload)[4] == 0
+    assert failure(refused).encode() in bytes(answered.ok.payload)
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [("GetPositionFK", ()), ("GetMotionPlan", ("motion_plan_response",)), ("GetMotionSequence", ("response",))],
+)
+async def test_a_refused_call_is_answered_by_the_error_code_in_its_response(name: str, parts: tuple[str, ...]) -> None:
+    service_type = f"moveit_msgs/srv/{name}"
+    async with networked(offer=("/compute",)) as (site, machine):
+        site.graph.services.offer(site.part, "/compute", service_type, lambda _request: {})
+        key = Endpoint("/compute", service_type, service_hash(REGISTRY, service_type)).key(0)
+        refused, answered = await replies(machine, "/compute", payload=b"\xff", key=key)
+    assert answered.ok is not None
+    response = cdr.deserialize(REGISTRY, f"{service_type}_Response", bytes(answered.ok.payload))
+    code = functools.reduce(dict.__getitem__, (*parts, "error_code"), response)
+    assert (code["val"], code["message"]) == (99999, failure(refused))
+
+
+async def test_a_refused_call_whose_response_cannot_say_so_gets_no_response() -> None:
+    async with networked(offer=("/compute",)) as (site, machine):
+        service_type = "moveit_msgs/srv/GetPlanningScene"
+        site.graph.services.offer(site.part, "/compute", service_type, lambda _request: {})
+        key = Endpoint("/compute", service_type, service_hash(REGISTRY, service_type)).key(0)
+        (refused,) = await replies(machine, "/compute", payload=b"\xff", key=key)
+    assert "wanted CDR" in failure(refused)
 
 
 async def test_a_viewing_network_is_told_the_missing_role_but_may_stop_the_arm() -> None:
     async with networked(offer=("/arm/*",), role="view") as (site, machine):
         requests = offered(site, "/arm/enable")
         offered(site)
-        (refused,), (stopped,) = await replies(machine, "/arm/enable"), await replies(machine)
+        (refused, _), (stopped,) = await replies(machine, "/arm/enable"), await replies(machine)
     assert requests == []
     assert "needs the role operate" in failure(refused)
     assert stopped.ok is not None
@@ -107,7 +141,7 @@ async def test_of_too_many_calls_those_beyond_are_refused_but_no_stop(monkeypatc
         offered(site)
         first = [asyncio.create_task(replies(machine, enable)) for _ in range(2)]
         await until(lambda: len(site.calls_of(enable)) == 2)
-        (refused,), (stopped,) = await replies(machine, enable), await replies(machine)
+        (refused, _), (stopped,) = await replies(machine, enable), await replies(machine)
         go_on.set()
         answered = [(await call)[0] for call in first]
         (later,) = await replies(machine, enable)

@@ -170,6 +170,14 @@ def test_an_actions_feedback_has_the_transforms_of_the_known_frames(world: World
     assert list(gripper["transform"]["rotation"].values()) == pytest.approx(pose.orientation)
 
 
+def test_a_frame_that_does_not_exist_is_named_in_the_log_once(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    world.send_goal()
+    for elbow_rad in (0.4, 0.5):
+        world.move(elbow_rad)
+    assert caplog.text.count("tf2_web_republisher") == 1
+    assert "'nowhere'" in caplog.text
+
+
 @pytest.mark.parametrize(
     ("thresholds", "small_rad", "large_rad"),
     [({}, 0.001, 0.5), ({"trans_thres": 10.0}, np.radians(1.0), np.radians(3.0))],

@@ -5,8 +5,7 @@ import math
 import sys
 import time
 
-from armbridge_client import Arm, ArmError, RequestRefused, connect, pose  # pip install ./clients/python
-from armbridge_client.messages import TriggerRequest
+from armbridge_client import Arm, ArmError, connect, pose  # pip install ./clients/python
 
 SIZE_M, MASS_KG = (0.04, 0.04, 0.03), 0.05
 FROM, MARK = (0.22, -0.06), (0.2, 0.06)  # x and y of the block, and of the mark [m]
@@ -43,11 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
     with connect(parser.parse_args().url) as arm:
-        try:
-            arm.call("/simulation/reset", TriggerRequest())
-        except RequestRefused:
-            sys.exit("this server has no physics: start armbridge serve --simulation physics")
-        arm.scene.clear()
+        arm.scene.reset_physics()
         arm.gripper.close()
         arm.move_joints(START, speed=0.3)
         arm.scene.add_box("block", SIZE_M, pose(*FROM, SIZE_M[2] / 2))

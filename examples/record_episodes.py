@@ -7,8 +7,7 @@ The server: ``armbridge serve --simulation physics --record run.mcap``. Afterwar
 import argparse
 import sys
 
-from armbridge_client import Arm, ArmError, RequestRefused, connect, pose  # pip install ./clients/python
-from armbridge_client.messages import TriggerRequest
+from armbridge_client import Arm, ArmError, connect, pose  # pip install ./clients/python
 
 EPISODES, NAME, TASK = 3, "push", "push the block to the right"
 SIZE_M, AT = (0.04, 0.04, 0.03), (0.2, 0.0)  # of the block, and its x and y [m]
@@ -29,11 +28,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
     with connect(parser.parse_args().url) as arm:
-        try:
-            arm.call("/simulation/reset", TriggerRequest())
-        except RequestRefused:
-            sys.exit("this server has no physics: start armbridge serve --simulation physics")
-        arm.scene.clear()
+        arm.scene.reset_physics()
         arm.gripper.close()
         arm.move_joints(HIGH | LEFT, speed=0.3)
         put_block(arm)

@@ -4,8 +4,7 @@ import argparse
 import sys
 import time
 
-from armbridge_client import Arm, ArmError, RequestRefused, connect, pose  # pip install ./clients/python
-from armbridge_client.messages import TriggerRequest
+from armbridge_client import Arm, ArmError, connect, pose  # pip install ./clients/python
 
 EDGE_M, MASS_KG = 0.025, 0.02
 CUBES = {"bottom": (0.2, 0.0), "middle": (0.2, 0.1), "top": (0.2, -0.1)}  # x and y at the start [m]
@@ -46,11 +45,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
     with connect(parser.parse_args().url) as arm:
-        try:
-            arm.call("/simulation/reset", TriggerRequest())
-        except RequestRefused:
-            sys.exit("this server has no physics: start armbridge serve --simulation physics")
-        arm.scene.clear()
+        arm.scene.reset_physics()
         arm.move_joints(START, speed=0.3)
         for name, at in CUBES.items():
             arm.scene.add_box(name, (EDGE_M,) * 3, pose(*at, EDGE_M / 2))

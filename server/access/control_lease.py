@@ -11,7 +11,7 @@ from typing import Literal, TypeAlias
 from server.diagnostic_values import LEVEL_OK, diagnostic_status
 from server.execution.queue import RunningGoal
 from server.graph.permissions import LOOKING, WORKING, Node, Role
-from server.graph.services import Call, answer
+from server.graph.services import Call
 from server.graph.topics import LocalGraph
 
 Policy: TypeAlias = Literal["lease", "shared"]
@@ -202,12 +202,12 @@ class ControlServices:
         caller = call.caller
         role = "" if caller.identity is None else caller.identity.role.name.lower()
         names = {"name": caller.name, "address": caller.address, "role": role, "version": metadata.version("armbridge")}
-        answer(call, lambda _request: {"success": True, "message": json.dumps(names)})
+        call.succeed({"success": True, "message": json.dumps(names)})
 
     def _answer(self, change: Callable[[Node, float], str | None], call: Call) -> None:
         refusal = change(call.caller, self._node.clock())
         message = self._lease.sentence() if refusal is None else refusal
-        answer(call, lambda _request: {"success": refusal is None, "message": message})
+        call.succeed({"success": refusal is None, "message": message})
 
     def _publish(self) -> None:
         lease, now_s = self._lease, self._node.clock()

@@ -30,6 +30,7 @@ from server.errors import ServiceError
 from server.execution.monitors import ENABLE, RESET_FAULT
 from server.graph.permissions import STOPPING, SWITCHING, WORKING, Rule
 from server.graph.topics import Graph, LocalGraph
+from server.moveit.requests.planning_context import GoalContext
 
 log = logging.getLogger("armbridge.arm")
 
@@ -175,25 +176,25 @@ STOP_TIMEOUT_S = 2.0
 PAUSE_LOOK_S = 0.1
 
 
-def offer_arm_services(graph: LocalGraph, arm: AnyArm, end_goals: Callable[[str], None]) -> None:
+def offer_arm_services(context: GoalContext) -> None:
     """Offer the services that switch and stop the arm, and listen to ``/emergency_stop``.
 
     Orders leave for the arm process before anything else happens: no queue, no task and no waiting in between.
     """
-    node = graph.node("arm services")
+    node, arm = context.graph.node("arm services"), context.arm
 
     def emergency_stop(name: str) -> asyncio.Future[CommandDone]:
         answered = arm.order(Order.EMERGENCY_STOP)
         log.warning("emergency stop by %s", node.resolve(name))
-        end_goals(f"emergency stop by {node.resolve(name)}")
+        context.stop(f"emergency stop by {node.resolve(name)}")
         return answered
 
     def relax() -> Awaitable[CommandDone]:
-        end_goals(f"relaxed by {node.resolve(RELAX)}")
+        context.stop(f"relaxed by {node.resolve(RELAX)}")
         return arm.order(Order.RELAX)
 
     def stop() -> Awaitable[CommandDone]:
-        end_goals(f"stopped by {node.resolve(STOP)}")
+        context.stop(f"stopped by {node.resolve(STOP)}")
         return _standstill(arm)
 
     def offer(name: str, rule: Rule, act: Callable[[], Awaitable[CommandDone]]) -> None:

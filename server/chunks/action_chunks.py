@@ -33,7 +33,6 @@ from server.execution.streams import MessageStream
 from server.graph.actions import ActionGoal
 from server.graph.permissions import GOAL, STOPPING, WORKING, Node
 from server.graph.services import Call
-from server.graph.services import answer as answer_call
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status
 from server.moveit.actions.gripper import Gripper
 from server.moveit.messages import Message, error_code
@@ -380,7 +379,7 @@ class ActionChunks:
         self._leave_control(call.caller)
         self._resumed_s = self._clock()
         self._show(PolicyPhase.IDLE, "the next chunk is followed")
-        answer_call(call, lambda _request: self._message)
+        call.succeed({"success": True, "message": self._message})
 
     def _stop(self, _request: Message) -> str:
         self._stopped, self._heard_s = STOP_EPOCHS.begin(), -math.inf

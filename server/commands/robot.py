@@ -148,5 +148,6 @@ def _import(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     terminal.tell(f"{out} is made:")
     for line in lines:
         terminal.tell(f"  {line}")
-    terminal.tell(f"next: armbridge serve --robot {out}")
+    # The bare name of a built-in arm is the built-in arm.
+    terminal.tell(f"next: armbridge serve --robot {out if out.is_absolute() else f'./{out}'}")
     return ExitCode.DONE

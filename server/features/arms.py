@@ -44,7 +44,7 @@ class ArmControl(Feature):
         }
         self._control = []
         for each in context.arms:
-            offer_arm_services(each.graph, each.arm, each.stop)
+            offer_arm_services(each)
             offer_pace(each.graph, each.arm)
             lease = context.access.leases_of_arms.get(each.name, context.access.lease)
             self._control.append(ControlServices(each.graph, lease))

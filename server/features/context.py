@@ -74,11 +74,6 @@ class ArmContext(GoalContext):
         """Name of one of several arms; else empty."""
         return self.served.name
 
-    @property
-    def only_joints(self) -> frozenset[str] | None:
-        """Joints that a stop is for; None to stop everything."""
-        return self.joints if self.name else None
-
     @cached_property
     def translator(self) -> GoalTranslator:
         return GoalTranslator(
@@ -98,10 +93,6 @@ class ArmContext(GoalContext):
         return self.queue.running(self.joints) or (
             None if remaining_s is None else RunningGoal("a goal of the gripper", remaining_s)
         )
-
-    def stop(self, reason: str) -> None:
-        """End the goals that move the arm, the active one and all that wait, and every motion of it."""
-        self.queue.stop(reason, self.only_joints)
 
     def go_to(self, positions_rad: Positions, scaling: float) -> Goal:
         """Queue a goal for joints of the arm, at a share of the velocity and acceleration limits."""

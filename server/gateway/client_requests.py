@@ -23,7 +23,7 @@ from protocol.operations import (
 from protocol.session import with_id
 from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, ClientContext
 from server.graph.actions import ActionGoal, Actions, GoalStatus, Result
-from server.graph.message_types import PostponedError, ReceivedMessage
+from server.graph.message_types import ReceivedMessage
 from server.graph.permissions import WORKING, Role
 from server.graph.services import Call, Response, Services
 
@@ -138,34 +138,29 @@ class ClientServices(_Offers):
         """Call a service, or raise PostponedError while its request is completed in the background."""
         name, id_ = name_and_id(operation)
         type_name, plans = self._services.names.type_of(name), self._services.rules.get(name, WORKING).plans
-        values, ended = 0, False
 
-        def end(response: Response) -> None:
-            nonlocal ended
-            ended = True
-            self._calls_in_flight -= 1
-            self._planning_calls -= plans
-            self._values_in_flight -= values
+        def answer(response: Response) -> None:
             if response.reason:
                 self._client.status.tell("error", operation, f"service {operation.service}: {response.reason}")
             self._answer(operation.service, id_, response, type_name)
 
-        problem = self._problem(plans=plans)
-        if problem is not None:
+        if (problem := self._problem(plans=plans)) is not None:
             self.reject_call(operation.service, id_, problem)
+            return
+        spelling = self._client.session.dialect
+        call = self._services.call(self._node, name, message, answer, operation.timeout, spelling)
+        if call is None or call.ended:
             return
         self._calls_in_flight += 1
         self._planning_calls += plans
-        spelling = self._client.session.dialect
-        try:
-            self._services.call(self._node, name, message, end, operation.timeout, spelling)
-        except PostponedError:
+        self._values_in_flight += message.values
+
+        def forget(_response: Response) -> None:
             self._calls_in_flight -= 1
             self._planning_calls -= plans
-            raise
-        if not ended:
-            values = message.values
-            self._values_in_flight += values
+            self._values_in_flight -= message.values
+
+        call.when_ended(forget)
 
     def call_unanswered(self, operation: CallService) -> None:
         """Call a service whose response the client has already."""

@@ -51,9 +51,6 @@ _STATUSES = {
 }
 _UNPROCESSABLE = HTTPStatus.UNPROCESSABLE_ENTITY
 
-# Status and fields of an answer.
-Answer = tuple[HTTPStatus, Mapping[str, Any]]
-
 
 class _RefusedError(Exception):
     def __init__(self, sentence: str, status: HTTPStatus = HTTPStatus.BAD_REQUEST) -> None:
@@ -79,9 +76,9 @@ class HttpGoals:
             address=posted.address,
         )
         authorizer = Authorizer(node, self._access, self._graph)
-        answered: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()
+        answered: asyncio.Future[Response | Result] = asyncio.get_running_loop().create_future()
 
-        def answer(end: Answer) -> None:
+        def answer(end: Response | Result) -> None:
             # The goal of a client that has left may end later.
             if not answered.done():
                 answered.set_result(end)
@@ -93,7 +90,7 @@ class HttpGoals:
             # Of the stops since it asked, the sender knows its own alone.
             stops = STOP_EPOCHS.present if operation.args is None else posted.epoch
             async with asyncio.timeout(timeout_s):
-                status, values = await answered
+                status, values = _answer_of(await answered)
             return HttpResponse.of_json(status, {**values, "stops": stops})
         except _RefusedError as error:
             log.debug("%s: refused: %s", node, error)
@@ -113,7 +110,7 @@ class HttpGoals:
         operation: CallService | SendActionGoal,
         node: Node,
         authorizer: Authorizer,
-        answer: Callable[[Answer], None],
+        answer: Callable[[Response | Result], None],
     ) -> None:
         graph = self._graph
         if isinstance(operation, CallService):
@@ -128,9 +125,9 @@ class HttpGoals:
         if refusal is not None:
             raise _RefusedError(refusal, HTTPStatus.CONFLICT)
         if isinstance(operation, CallService):
-            graph.services.call(node, name, operation.args, lambda end: answer(_of_response(end)), MAX_TIMEOUT_S)
+            graph.services.call(node, name, operation.args, answer, MAX_TIMEOUT_S)
         else:
-            graph.actions.send_goal(node, name, GRIPPER_TYPE, operation.args, lambda end: answer(_of_result(end)))
+            graph.actions.send_goal(node, name, GRIPPER_TYPE, operation.args, answer)
 
     def _read(self, body: bytes) -> CallService | SendActionGoal:
         try:
@@ -187,18 +184,18 @@ def _timeout_s(posted: PostedRequest) -> float:
     return timeout_s
 
 
-def _of_response(response: Response) -> Answer:
-    if not response.ok:
-        return _UNPROCESSABLE, {"success": False, "message": str(response.values)}
-    failed = _STATUSES.get(response.values.get("code_name", "CONTROL_FAILED"), _UNPROCESSABLE)
-    return HTTPStatus.OK if response.values["success"] else failed, response.values
-
-
-def _of_result(result: Result) -> Answer:
-    if not result.ok:
-        return _UNPROCESSABLE, {"success": False, "message": str(result.values)}
-    if result.status != GoalStatus.SUCCEEDED:
+def _answer_of(end: Response | Result) -> tuple[HTTPStatus, Mapping[str, Any]]:
+    """Return status and fields of the answer to the end of a call, or of a gripper's goal."""
+    values = end.values
+    if not end.ok:
+        return _UNPROCESSABLE, {"success": False, "message": str(values)}
+    if isinstance(end, Response):
+        failed = _STATUSES.get(values.get("code_name", "CONTROL_FAILED"), _UNPROCESSABLE)
+        return HTTPStatus.OK if values["success"] else failed, values
+    succeeded = end.status == GoalStatus.SUCCEEDED
+    if succeeded:
+        sentence = "the gripper holds an object" if values["stalled"] else "the gripper is there"
+    else:
         sentence = "the goal of the gripper was cancelled, by a stop, another client or another goal"
-        return HTTPStatus.CONFLICT, {"success": False, "message": sentence, **result.values}
-    sentence = "the gripper holds an object" if result.values["stalled"] else "the gripper is there"
-    return HTTPStatus.OK, {"success": True, "message": sentence, **result.values}
+    status = HTTPStatus.OK if succeeded else HTTPStatus.CONFLICT
+    return status, {"success": succeeded, "message": sentence, **values}

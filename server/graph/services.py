@@ -139,7 +139,6 @@ class Services(Providers[Call]):
         name: str,
         type_name: str,
         function: ServiceFunction,
-        timeout_s: float = LOCAL_TIMEOUT_S,
         limits: ListLimits = DEFAULT_LIMITS,
         *,
         rule: Rule | None = None,
@@ -148,7 +147,7 @@ class Services(Providers[Call]):
 
         Without a rule it has a client's. Raises GraphError for an unknown type or a name of another part.
         """
-        self.offer_calls(node, name, type_name, lambda call: answer(call, function), timeout_s, limits, rule=rule)
+        self.offer_calls(node, name, type_name, lambda call: answer(call, function), limits=limits, rule=rule)
 
     def offer_calls(
         self,
@@ -182,19 +181,19 @@ class Services(Providers[Call]):
         on_response: Callable[[Response], None],
         timeout_s: float | None = None,
         dialect: Dialect = "ros2",
-    ) -> None:
-        """Call a service; wait [s] 0 for `MAX_TIMEOUT_S`, None for the offer's time."""
+    ) -> Call | None:
+        """Call a service, None if that is impossible; wait [s] 0 for `MAX_TIMEOUT_S`, None for the offer's time."""
         offer = self._offers.get(name)
         if offer is None:
             # The words of rosbridge_library (internal/services.py), which clients look for.
             on_response(Response(ok=False, values=f"Service {name} does not exist"))
-            return
+            return None
         try:
             request = self._completed(offer, arguments)
         except MessageError as error:
             if (rule := self.rules.get(name)) is None or not rule.at_once:
                 on_response(Response(ok=False, values=f"Service {name}: {error}"))
-                return
+                return None
             # Somebody wants the arm to stop, whatever else the call says.
             request = self._completed(offer, {})
         call = Call(name, offer.type_name, request, self._message_types, caller, dialect)
@@ -202,3 +201,4 @@ class Services(Providers[Call]):
         self._keep(call, offer, call, caller, bound_s, f"Service {name} did not answer in {bound_s:g} s")
         call.when_ended(on_response)
         offer.start(call)
+        return call

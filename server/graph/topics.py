@@ -29,7 +29,7 @@ from server.graph.index import Index, TypedNames
 from server.graph.latching import LatchedMessages
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.permissions import Node, Rule
-from server.graph.services import DEFAULT_LIMITS, LOCAL_TIMEOUT_S, Call, ServiceFunction, Services, answer
+from server.graph.services import DEFAULT_LIMITS, LOCAL_TIMEOUT_S, Call, ServiceFunction, Services
 from server.timers import CallLater, call_later
 
 log = logging.getLogger("armbridge.graph")
@@ -502,7 +502,7 @@ class LocalNode(Node):
     def offer(
         self, name: str, type_name: str, function: ServiceFunction, limits: ListLimits = DEFAULT_LIMITS, *, rule: Rule
     ) -> None:
-        self.offer_calls(name, type_name, lambda call: answer(call, function), LOCAL_TIMEOUT_S, limits, rule=rule)
+        self._graph.services.offer(self, self.resolve(name), type_name, function, limits, rule=self._below(rule))
 
     def offer_calls(
         self,

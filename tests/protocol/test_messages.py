@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from harness.waiting import TIMEOUT_S
 from protocol.errors import LargeMessageError, MessageError
-from protocol.messages import MAX_VALUES, MessageBudget, Stamp, complete, values_in
+from protocol.messages import MAX_READ_VALUES, MAX_VALUES, ListLimits, MessageBudget, Stamp, complete, values_in
 from tests.helpers.messages import MESSAGE_TYPES, REGISTRY
 
 RECEIVED = Stamp(1700000000, 250)
@@ -20,9 +20,9 @@ def completed(type_name, value, **limits):
     return complete(REGISTRY, type_name, value, RECEIVED, **limits)
 
 
-def refused(type_name, value):
+def refused(type_name, value, **limits):
     with pytest.raises(MessageError) as refusal:
-        completed(type_name, value)
+        completed(type_name, value, **limits)
     return refusal.value
 
 
@@ -169,3 +169,31 @@ def test_a_message_too_large_to_be_completed_at_once_is_left_to_the_background()
         completed("geometry_msgs/PoseArray", poses, max_values_at_once=699)
     with pytest.raises(MessageError, match="at most 699 values"):
         completed("geometry_msgs/PoseArray", poses, max_values=699, max_values_at_once=699)
+
+
+SEQUENCE = "moveit_msgs/srv/GetMotionSequence_Request"
+
+
+def test_a_list_beyond_its_limit_is_refused_with_field_limit_and_value() -> None:
+    constraints = ListLimits({"moveit_msgs/msg/Constraints.joint_constraints": 3})
+    blended = {"req": {"path_constraints": {"joint_constraints": [{}] * 2}}}
+    for limits, item, most, field, wanted in (
+        (ListLimits({"moveit_msgs/msg/MotionSequenceRequest.items": 2}), {}, 2, "", "2 elements in all, got 3"),
+        # A limit is for all lists of the field together; others count by the values they stand for, 43 an item.
+        (constraints, blended, 1, "[1].req.path_constraints.joint_constraints", "3 elements in all, got 4"),
+        (ListLimits(max_values=10 * 43), {}, 10, "", "430 values in all lists, as they are complete, got more"),
+    ):
+        completed(SEQUENCE, {"request": {"items": [item] * most}}, limits=limits)
+        error = refused(SEQUENCE, {"request": {"items": [item] * (most + 1)}}, limits=limits)
+        assert str(error) == f"field request.items{field}: wanted at most {wanted}"
+
+
+def test_numbers_and_texts_count_as_values() -> None:
+    names = ["a"] * MAX_READ_VALUES
+    completed("moveit_msgs/srv/GetPositionFK_Request", {"fk_link_names": names}, limits=ListLimits())
+    refused("moveit_msgs/srv/GetPositionFK_Request", {"fk_link_names": [*names, "a"]}, limits=ListLimits())
+
+
+def test_the_elements_of_a_list_of_fixed_length_do_not_count() -> None:
+    limits, triangle = ListLimits({"shape_msgs/msg/Mesh.triangles": 2}, max_values=2), {"vertex_indices": [0, 1, 2]}
+    completed("shape_msgs/Mesh", {"triangles": [triangle] * 2}, limits=limits)

@@ -81,6 +81,7 @@ class Scene(Face[AsyncScene]):
     detach = blocking(AsyncScene.detach)
     allow_contact = blocking(AsyncScene.allow_contact)
     make_movable = blocking(AsyncScene.make_movable)
+    reset_physics = blocking(AsyncScene.reset_physics)
     objects = blocking(AsyncScene.objects)
     held = blocking(AsyncScene.held)
     save = blocking(AsyncScene.save)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from armbridge_client.connection import CALL_TIMEOUT_S, Connection
+from armbridge_client.errors import RequestRefused
 from armbridge_client.messages import (
     AllowedCollisionEntry,
     AllowedCollisionMatrix,
@@ -28,6 +29,7 @@ from armbridge_client.messages import (
     SaveSceneRequest,
     SetBodyRequest,
     SolidPrimitive,
+    TriggerRequest,
 )
 
 # Values of moveit_msgs/CollisionObject, shape_msgs/SolidPrimitive and moveit_msgs/PlanningSceneComponents.
@@ -112,6 +114,16 @@ class AsyncScene:
             friction: coefficient of friction, 0 for the default.
         """
         await self._connection.carry_out("/simulation/set_body", SetBodyRequest(name, True, mass_kg, friction))
+
+    async def reset_physics(self) -> None:
+        """Restore the world of a simulated arm with physics, and remove all objects, also out of the fingers."""
+        try:
+            await self._connection.carry_out("/simulation/reset", TriggerRequest())
+        except RequestRefused as error:
+            if "does not exist" in error.sentence:
+                raise RequestRefused("this server has no physics: armbridge serve --simulation physics") from error
+            raise
+        await self.clear()
 
     async def objects(self, timeout_s: float = CALL_TIMEOUT_S) -> dict[str, CollisionObject]:
         """Return the objects of the world by name."""

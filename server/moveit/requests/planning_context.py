@@ -115,7 +115,7 @@ class PlanningContext(ExecutionContext):
 
     @cached_property
     def problems(self) -> ProblemBuilder:
-        return ProblemBuilder(self.robot, self.frames, self.parameters, self.current.speed_limit)
+        return ProblemBuilder(self.robot, self.frames, self.parameters, self.current)
 
     async def ask(self, question: ServoQuestion) -> ServoAnswer | PlanningFailure:
         """Ask the planners about the next step of a servo loop in the present scene."""
@@ -157,3 +157,12 @@ class GoalContext:
     @cached_property
     def joints(self) -> frozenset[str]:
         return frozenset(joint.name for joint in self.robot.movable_joints)
+
+    @property
+    def only_joints(self) -> frozenset[str] | None:
+        """Joints that a stop is for; None to stop everything."""
+        return self.joints if self.graph.namespace else None
+
+    def stop(self, reason: str) -> None:
+        """End the goals that move the arm, the active one and all that wait, and every motion of it."""
+        self.queue.stop(reason, self.only_joints)

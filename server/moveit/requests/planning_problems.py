@@ -8,7 +8,7 @@ https://moveit.picknik.ai/main/doc/how_to_guides/pilz_industrial_motion_planner
 
 import functools
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
@@ -35,6 +35,7 @@ from planners.scene import Point, Pose
 from protocol.messages import ListLimits
 from robot.description.model import Group, RobotModel
 from server.errors import invalid, invalid_plan, refused
+from server.execution.monitors import CurrentState
 from server.execution.motions import Joints, MotionStep, Positions
 from server.moveit.messages import Message, check_finite, composed
 from server.moveit.parameters import (
@@ -91,7 +92,7 @@ class ProblemBuilder:
     robot: RobotModel
     frames: Frames
     parameters: PlannerParameters
-    speed_limit: Callable[[Collection[str]], float] = lambda _joints: 1.0
+    current: CurrentState
 
     def group(self, name: str) -> Group:
         """Return a planning group; the configured one for an empty name."""
@@ -116,7 +117,7 @@ class ProblemBuilder:
             group=group.name,
             start_rad=start_rad,
             goal=goal if frame is None else self.placed(goal, frame, start_rad),
-            velocity_scaling=min(parameters.max_velocity_scaling, self.speed_limit(group.joints)),
+            velocity_scaling=min(parameters.max_velocity_scaling, self.current.speed_limit(group.joints)),
             acceleration_scaling=parameters.max_acceleration_scaling,
             allowed_time_s=parameters.allowed_planning_time,
             attempts=parameters.num_planning_attempts,
@@ -165,7 +166,7 @@ class ProblemBuilder:
         """Read a request's shares of the velocity limits, lowered to the arm's speed limit, and of the others."""
         field, parameters = "max_velocity_scaling_factor", context.parameters
         velocity = _scaling(request, field, parameters.max_velocity_scaling, context)
-        limit = self.speed_limit(context.group.joints)
+        limit = self.current.speed_limit(context.group.joints)
         if velocity > limit and request[field] > 0.0:
             context.warnings.append(f"{field} {velocity:g} is lowered to {limit:g}, the arm's speed limit")
         acceleration = _scaling(

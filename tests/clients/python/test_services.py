@@ -61,6 +61,11 @@ def test_a_change_that_is_refused_has_the_servers_sentence(arm: Arm) -> None:
         arm.scene.add_box("crate", (-0.1, 0.1, 0.1), TABLE)
 
 
+def test_a_server_without_physics_says_so(arm: Arm) -> None:
+    with pytest.raises(RequestRefused, match="this server has no physics"):
+        arm.scene.reset_physics()
+
+
 def test_scenes_are_saved_and_loaded_by_name(in_empty_scene: Arm) -> None:
     scene = in_empty_scene.scene
     scene.add_box("crate", (0.1, 0.1, 0.1), pose(0.0, 0.4, 0.1))

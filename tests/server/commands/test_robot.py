@@ -66,19 +66,22 @@ def test_everything_that_is_wrong_with_a_folder_is_printed(tmp_path: Path, capsy
     assert "boom.stl" in capsys.readouterr().out
 
 
-def test_an_import_says_what_it_made_and_how_to_serve_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_import_says_what_it_made_and_how_to_serve_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     urdf = write_package(tmp_path).rename(tmp_path / "arm.urdf")
     (tmp_path / "packages").mkdir()
     (tmp_path / "mesh_arm").rename(tmp_path / "packages" / "mesh_arm")
-    out = tmp_path / "arm"
-    arguments = ["robot", "import", str(urdf), "--out", str(out), "--samples", "50", "--no-convex"]
+    monkeypatch.chdir(tmp_path)
+    arguments = ["robot", "import", str(urdf), "--out", "so101", "--samples", "50", "--no-convex"]
     assert cli.main(arguments) == ExitCode.USAGE
     assert "--package-path" in capsys.readouterr().err
     assert cli.main([*arguments, "--package-path", str(tmp_path / "packages")]) == ExitCode.DONE
     printed = capsys.readouterr()
-    assert f"next: armbridge serve --robot {out}" in printed.out
+    # The name alone is the built-in arm's.
+    assert "next: armbridge serve --robot ./so101\n" in printed.out
     assert "50 of 50 states" in printed.err
-    assert robot_folder.load(out).model.default_group == "arm"
+    assert robot_folder.resolve("./so101").model.default_group == "arm"
 
 
 def test_what_a_command_cannot_do_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from protocol.messages import BUDGET, ListLimits
 from server.errors import GraphError
 from server.graph.actions import (
     ENDED_KEPT_S,
@@ -230,3 +231,12 @@ def test_an_action_of_an_unknown_type_or_with_a_topic_of_somebody_else_works_wit
     world.offer(SERVER, "/other", "acme_msgs/Do")
     assert world.graph.publishers("/other/_action/status") == [SERVER]
     assert world.graph.publishers("/other/_action/feedback") == []
+
+
+def test_a_goal_with_too_long_a_list_is_refused_before_it_is_completed(world: World) -> None:
+    type_name, limits = "moveit_msgs/action/MoveGroupSequence", {"moveit_msgs/msg/MotionSequenceRequest.items": 2}
+    world.actions.offer(SERVER, "/move", type_name, world.goals.append, ListLimits(limits))
+    request = {"request": {"items": [{}] * 3}}
+    assert world.actions.send_goal(SENDER, "/move", type_name, request, world.results.append) is None
+    assert "at most 2 elements in all, got 3" in world.results[0].values
+    assert BUDGET.taken == 0

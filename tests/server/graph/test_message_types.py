@@ -1,6 +1,7 @@
 import pytest
 
 from protocol.errors import InterfaceError, MessageError
+from protocol.messages import ListLimits
 from protocol.publication import LARGE_BYTES
 from server.graph.message_types import (
     BYTES_AT_ONCE,
@@ -71,3 +72,15 @@ def test_a_message_grows_by_what_came_and_a_little_no_more() -> None:
     longer = ReceivedMessage({"poses": [{}] * elements}, 7)
     longer.complete(STRICT, POSES)
     assert len(STRICT.complete(POSES, longer)["poses"]) == elements
+
+
+def test_a_message_that_a_thread_completes_has_the_limits_of_its_reader() -> None:
+    type_name = "moveit_msgs/srv/GetMotionSequence_Request"
+    limits = ListLimits({"moveit_msgs/msg/MotionSequenceRequest.items": 2})
+    # In order of declaration, fields count as well.
+    message = ReceivedMessage([{"items": [{}] * 3}], BYTES_AT_ONCE + 1)
+    with pytest.raises(PostponedError):
+        STRICT.complete_arguments(type_name, message, limits)
+    message.complete(STRICT, type_name)
+    with pytest.raises(MessageError, match="at most 2 elements in all, got 3"):
+        STRICT.complete_arguments(type_name, message, limits)

@@ -4,6 +4,7 @@ from typing import Any
 import pytest
 
 from harness.waiting import TIMEOUT_S
+from protocol.messages import BUDGET, MAX_READ_VALUES, ListLimits
 from server.errors import GraphError, ServiceError
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node
@@ -164,3 +165,22 @@ def test_an_error_of_one_that_hears_of_the_end_keeps_it_from_no_other(
     provided[0].fail("once more")
     assert heard == responses == [Response(ok=False, values="stopped")]
     assert "a listener to the end of a request failed" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("limits", "wanted"),
+    [
+        ({"limits": ListLimits({"moveit_msgs/msg/MotionSequenceRequest.items": 2})}, "2 elements"),
+        # Without a word about it, there is a limit all the same.
+        ({}, f"{MAX_READ_VALUES} values"),
+    ],
+)
+def test_a_request_with_too_long_a_list_is_refused_before_it_is_completed(
+    services: Services, limits: dict[str, ListLimits], wanted: str
+) -> None:
+    services.offer(SERVER, "/plan", "moveit_msgs/srv/GetMotionSequence", lambda _request: {}, **limits)
+    ends: list[Response] = []
+    services.call(CALLER, "/plan", {"request": {"items": [{}] * MAX_READ_VALUES}}, ends.append)
+    assert not ends[0].ok
+    assert ends[0].values.startswith(f"Service /plan: field request.items: wanted at most {wanted}")
+    assert BUDGET.taken == 0

@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from protocol.errors import MessageError
+from protocol.messages import BUDGET, ListLimits
 from protocol.publication import PublishedMessage
 from server.errors import GraphError
 from server.graph import latching, topics
@@ -253,3 +254,27 @@ def test_names_are_compared_a_few_times_a_second_however_many_are_wrong(graph: G
     assert found == ["/moveit_goal_named"] * topics.COMPARISONS_AT_ONCE + [None]
     clock.now_s += 1.0
     assert graph.nearest_topic("/moveit_goal_nmaed") == "/moveit_goal_named"
+
+
+POSES = "geometry_msgs/msg/PoseArray"
+
+
+def test_a_reader_s_limits_refuse_a_message_before_it_is_completed_and_end_with_its_subscription(graph: Graph) -> None:
+    refused: list[str] = []
+    limits = ListLimits({f"{POSES}.poses": 2})
+    subscriber = Subscriber(IGNORED.deliver, lambda error: refused.append(str(error)), limits=limits)
+    graph.subscribe(LISTENER, "/poses", POSES, subscriber)
+    with pytest.raises(MessageError):
+        graph.publish(CLIENT, "/poses", {"poses": [{}] * 3})
+    assert refused == ["field poses: wanted at most 2 elements in all, got 3"]
+    assert BUDGET.taken == 0
+    graph.subscribe(CLIENT, "/poses", None, IGNORED)
+    graph.unsubscribe(LISTENER, "/poses")
+    graph.publish(CLIENT, "/poses", {"poses": [{}] * 3})
+
+
+def test_no_frame_is_read_by_itself_for_a_reader_with_limits(graph: Graph) -> None:
+    graph.advertise(CLIENT, "/texts", "std_msgs/msg/String")
+    assert graph.strict_reader(CLIENT, "/texts") is not None
+    graph.subscribe(LISTENER, "/texts", None, Subscriber(IGNORED.deliver, limits=ListLimits()))
+    assert graph.strict_reader(CLIENT, "/texts") is None

@@ -8,6 +8,7 @@ import pytest
 from planners.goals import JointGoal, PoseGoal, PositionGoal
 from planners.problem import Line, MoveItErrorCode, PlanningProblem
 from planners.scene import Pose
+from server.execution.monitors import CurrentState
 from server.moveit.parameters import (
     MAX_ALLOWED_PLANNING_TIME_S,
     MAX_PLANNING_ATTEMPTS,
@@ -15,7 +16,7 @@ from server.moveit.parameters import (
     PlannerParameters,
 )
 from server.moveit.requests import planning_problems
-from tests.helpers.fake_arm import HOME
+from tests.helpers.fake_arm import HOME, FakeArm
 from tests.helpers.moveit import (
     FRAMES,
     ROBOT,
@@ -37,9 +38,10 @@ INVALID, BROKEN = MoveItErrorCode.INVALID_GOAL_CONSTRAINTS, MoveItErrorCode.INVA
 
 def asked(parameters=PARAMETERS, **fields):
     request = message("MotionPlanRequest", **{"goal_constraints": [GOAL], **fields})
-    return outcome(
-        planning_problems.ProblemBuilder(ROBOT, FRAMES, PlannerParameters(parameters)).motion_plan, request, HOME
+    builder = planning_problems.ProblemBuilder(
+        ROBOT, FRAMES, PlannerParameters(parameters), CurrentState(FakeArm().as_arm)
     )
+    return outcome(builder.motion_plan, request, HOME)
 
 
 def test_a_request_with_only_a_goal_is_planned_by_the_parameters() -> None:

@@ -44,6 +44,14 @@ class Disk:
             if not (await asyncio.wait([self._work], timeout=left_s))[0]:
                 raise OSError(errno.ETIMEDOUT, f"the disk does not answer within {self._timeout_s:g} s")
 
+    def follow(self, action: Callable[[], None]) -> None:
+        """Act when the work in progress has ended, at once where there is none; never where the loop ends before it."""
+        if self._work is None or self._work.done():
+            action()
+        else:
+            # The end of the loop cancels the task, whose thread works on.
+            self._work.add_done_callback(lambda work: work.cancelled() or action())
+
     async def serve(self, path: Path | str, failure: str, work: Callable[[], Result]) -> Result:
         """Do work on a file, or raise ServiceError whose sentence begins with `failure`."""
         try:

@@ -46,11 +46,17 @@ class Disk:
 
     def follow(self, action: Callable[[], None]) -> None:
         """Act when the work in progress has ended, at once where there is none; never where the loop ends before it."""
-        if self._work is None or self._work.done():
-            action()
-        else:
+        work = self._work
+
+        def act(_work: object = None) -> None:
             # The end of the loop cancels the task, whose thread works on.
-            self._work.add_done_callback(lambda work: work.cancelled() or action())
+            if work is None or not work.cancelled():
+                action()
+
+        if work is None or work.done():
+            act()
+        else:
+            work.add_done_callback(act)
 
     async def serve(self, path: Path | str, failure: str, work: Callable[[], Result]) -> Result:
         """Do work on a file, or raise ServiceError whose sentence begins with `failure`."""

@@ -1,6 +1,6 @@
 """Standstills of the machine, the server or an arm process: what moved the arm before one moves nothing afterwards.
 
-The machine stands still behind a closed lid, and a process in a frozen container, in a debugger, or by SIGSTOP or Ctrl-Z.
+The machine stands still behind a closed lid; a process in a frozen container, in a debugger, and by SIGSTOP or Ctrl-Z.
 """
 
 import logging

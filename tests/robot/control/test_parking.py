@@ -11,6 +11,7 @@ from robot.messages import (
     PARKING_TIMEOUT_S,
     ChangePace,
     Command,
+    EmergencyPolicy,
     EndState,
     Execute,
     KeepParking,
@@ -235,6 +236,15 @@ def test_an_arm_that_was_stopped_and_asked_for_nothing_since_holds_without_its_s
         rig.run(12.0)
     assert rig.torque() == [0 if parks else 1] * 6
     assert (distance_to_rest(rig) < SINK_RAD) == parks
+
+
+def test_an_arm_that_holds_after_an_emergency_stop_holds_without_its_server() -> None:
+    rig = ArmRig(on_server_lost=EndState.PARK, on_emergency_stop=EmergencyPolicy.HOLD).started()
+    rig.supervisor.handle(Command(1, Order.EMERGENCY_STOP, epoch=2))
+    rig.wait(1)
+    lose_server(rig)
+    until_ended(rig)
+    assert rig.torque() == [1] * 6
 
 
 def test_a_relaxed_arm_is_not_parked(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:

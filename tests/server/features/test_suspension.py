@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,6 +72,15 @@ async def test_after_a_standstill_of_the_arm_process_all_goals_end_and_later_one
     assert active.startswith("the arm process stood still for 60.0 s; the arm stands at ")
     assert np.ptp(laptop.arm_rad[-100:, 0]) == 0.0
     await laptop.begin_to_move()
+
+
+async def test_states_that_are_older_than_the_stop_after_a_standstill_lead_to_no_other_stop(laptop: Laptop) -> None:
+    halted = replace(laptop.arm.state, halted="the arm process stood still for 60.0 s", last_stop=laptop.arm.last_stop)
+    laptop.suspension.on_state("", halted)
+    stopped = laptop.arm.last_stop
+    assert stopped > halted.last_stop
+    laptop.suspension.on_state("", halted)
+    assert laptop.arm.last_stop == stopped
 
 
 async def test_clocks_that_are_read_late_are_no_suspension(laptop: Laptop) -> None:

@@ -387,7 +387,7 @@ class Supervisor:
         orders, order, now_s = self._orders, command.order, self._clock()
         urgent = order is Order.EMERGENCY_STOP
         if urgent:
-            self._may_enable, self._stopped = False, True
+            self._may_enable = False
             self._last_stop = max(self._last_stop, command.epoch)
         if order in (Order.ENABLE, Order.RESET_FAULT) and command.epoch < self._last_stop:
             self._answer(command.number, f"{_NAMES[order]}: a stop came after it was requested", done=False)

@@ -191,7 +191,7 @@ class Arm(ArmClock):
             self._starting = False
 
     def _configure(self) -> None:
-        self._process.configure(self._config, Stop(epoch=self.last_stop))
+        self._process.configure(replace(self._config, last_stop=self.last_stop))
         if self._bodies is not None:
             self._process.send(self._bodies)
         if self._emergency is not None and self._emergency not in self._orders:
@@ -398,7 +398,6 @@ class Arm(ArmClock):
             self._silent_heartbeats += self._heard_since_s is not None
             if self._silent_heartbeats > SILENT_HEARTBEATS:
                 log.error("the arm process has been silent for %g s and is ended", SILENT_S)
-                self._silent_heartbeats = 0
                 await self._process.kill()
 
     def _begin(self, command: Execute | Stream) -> asyncio.Future[MotionEnded]:
@@ -475,6 +474,7 @@ class Arm(ArmClock):
 
     def _exited(self) -> None:
         ran_s = 0.0 if self._heard_since_s is None else time.monotonic() - self._heard_since_s
+        halted = f"the arm process was silent for {SILENT_S:g} s" * (self._silent_heartbeats > SILENT_HEARTBEATS)
         self._heard_since_s, self._silent_heartbeats = None, 0
         self._answer_held()
         for motion_id, motion in list(self._motions.items()):
@@ -485,7 +485,7 @@ class Arm(ArmClock):
             return
         self._tell_restart("the arm process ended; starting it again")
         self._restart = asyncio.create_task(self._start_again(ran_s), name="restart arm process")
-        self._disconnect("the arm process ended and is starting again", STARTING_ARM)
+        self._disconnect("the arm process ended and is starting again", STARTING_ARM, halted)
 
     async def _start_again(self, ran_s: float) -> None:
         await self._process.kill()
@@ -514,11 +514,12 @@ class Arm(ArmClock):
             self._configure()
         return True
 
-    def _disconnect(self, reason: str, task: str = "") -> None:
+    def _disconnect(self, reason: str, task: str = "", halted: str = "") -> None:
         names, fault = self.state.joint_names, self.state.fault
         # A clock that is ahead of the machine's must not go back.
         stamp_s = time.time() if self.rate == 1.0 else self.state.stamp_s
         state = ArmState(stamp_s, Mode.DISCONNECTED, names, reason, task, fault=fault, clock_s=self.clock_s)
+        state = replace(state, halted=halted, last_stop=self.last_stop)
         try:
             self._take_state(state)
         except Exception:  # a bug in one who takes the state must not end the restarts
@@ -586,13 +587,12 @@ class ArmProcess:
             self.ended = asyncio.get_running_loop().create_future()
         await self._child.connect()
 
-    def configure(self, config: ArmConfig, last_stop: Stop) -> None:
-        """Send a running process its configuration, the last stop, which it cannot know, then the queued orders."""
+    def configure(self, config: ArmConfig) -> None:
+        """Send a running process its configuration, then the queued orders."""
         if self._child is None or not self._runs():
             return
         self._configured = True
         self._child.send(config)
-        self._child.send(last_stop)
         early, self._early = self._early, []
         for command in early:
             self._child.send(command)

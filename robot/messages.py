@@ -116,6 +116,7 @@ class ArmConfig:
     # Share of the joints' velocity limits that no motion exceeds, until it is changed.
     speed_limit: float = within(1.0, MIN_SPEED_LIMIT, 1.0)
     fault: Fault | None = None  # fault latched by an earlier arm process and not yet reset
+    last_stop: int = 0  # stop epoch of the last stop before the process began
 
 
 @dataclass(frozen=True)
@@ -345,6 +346,9 @@ class ArmState(Frequent):
     # Start of the latest ticks after their deadlines, one value each [s].
     lateness_s: tuple[float, ...] = field(default=())
     fault: Fault | None = None  # latched fault, to be reset before the arm moves again
+    # Standstill that has stopped the arm, in words: it refuses motions until the server's next stop. Empty for none.
+    halted: str = ""
+    last_stop: int = 0  # stop epoch of the last stop that the arm process has received
     tick_s: float = 0.0  # monotonic time of the machine at its tick; 0 for several arms, which tick by themselves [s]
     clock_s: float = 0.0  # time of the control loop, which on a simulated arm passes no faster than the loop runs [s]
     torque_enabled: bool = False  # True while torque is on

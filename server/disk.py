@@ -44,6 +44,20 @@ class Disk:
             if not (await asyncio.wait([self._work], timeout=left_s))[0]:
                 raise OSError(errno.ETIMEDOUT, f"the disk does not answer within {self._timeout_s:g} s")
 
+    def follow(self, action: Callable[[], None]) -> None:
+        """Act when the work in progress has ended, at once where there is none; never where the loop ends before it."""
+        work = self._work
+
+        def act(_work: object = None) -> None:
+            # The end of the loop cancels the task, whose thread works on.
+            if work is None or not work.cancelled():
+                action()
+
+        if work is None or work.done():
+            act()
+        else:
+            work.add_done_callback(act)
+
     async def serve(self, path: Path | str, failure: str, work: Callable[[], Result]) -> Result:
         """Do work on a file, or raise ServiceError whose sentence begins with `failure`."""
         try:

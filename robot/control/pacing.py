@@ -40,16 +40,17 @@ class Pacer:
         self._period_s = PERIOD_S  # of the machine's time [s]
         self.deadline_s = now_s + PERIOD_S  # monotonic time at which the next tick is due [s]
         self.tick_s = now_s  # monotonic time at which the latest tick started [s]
+        self.late_s = 0.0  # start of the latest tick after its deadline [s]
         self._prompt_s = now_s  # monotonic time at which the latest prompt tick was wanted [s]
         self.lateness_s: deque[float] = deque(maxlen=TICKS_KEPT)  # start of the latest ticks after their deadlines [s]
 
     def start_tick(self, now_s: float, rate: float = 1.0) -> None:
         """Record the start of the tick that was due, and set the next deadline, at an arm's time per machine's."""
-        self.tick_s, late_s = now_s, now_s - self.deadline_s
-        self.lateness_s.append(late_s)
+        self.tick_s, self.late_s = now_s, now_s - self.deadline_s
+        self.lateness_s.append(self.late_s)
         period_s = self._period_s = PERIOD_S / rate
         # The rounding of a tick that starts exactly at the next deadline must not make it due again at once.
-        self.deadline_s += period_s * (1 + max(0, math.floor(late_s / period_s + ROUNDING)))
+        self.deadline_s += period_s * (1 + max(0, math.floor(self.late_s / period_s + ROUNDING)))
         if self._prompt_s > now_s:
             self.bring_forward(self._prompt_s)
 

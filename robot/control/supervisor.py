@@ -57,6 +57,10 @@ LONGEST_RETRY_S = 2.0
 # A silent server may come back within this time: the arm only brakes until then, and parks afterwards.
 SILENCE_BEFORE_PARKING_S = 5.0
 
+# A standstill of the arm process or the server for so long stops an arm at rest, too: people have come near, and do not
+# expect that a motion from before it begins. No starved machine was seen to stand still for so long.
+STANDSTILL_S = 5.0
+
 HEALTH_PERIOD_TICKS = round(1.0 / PERIOD_S)
 
 # A simulated arm at rest skips every other tick, and four of five (20 a second are left) while nobody sees its states.
@@ -106,7 +110,9 @@ class Supervisor:
         self._task: _Task | None = None
         self._fault: Fault | None = config.fault
         self._may_enable = config.start_enabled
-        self._last_stop = 0
+        self._last_stop = config.last_stop
+        self._stopped = False  # True from a stop of all motion until something else is asked of the arm
+        self._halted = ""  # ArmState.halted
         self._reason = ""
         self._retry_s = FIRST_RETRY_S
         self._check_at_s = clock()
@@ -174,8 +180,8 @@ class Supervisor:
 
     def handle(self, message: object) -> None:
         self._heard_s = self._clock()
-        if isinstance(message, Stop):
-            self._last_stop = max(self._last_stop, message.epoch)
+        if isinstance(message, Stop) and message.epoch > self._last_stop:
+            self._last_stop, self._stopped, self._halted = message.epoch, True, ""
         controller = self._controller
         if isinstance(message, Execute | Stream):
             self._move(message)
@@ -221,6 +227,8 @@ class Supervisor:
         if self._end is not None:
             self._end_ticks += ticks
             self._clock.pause(paused=False)
+        if self._halts_after(pacer.late_s, "the arm process stood still for {:.1f} s") and arm.controller:
+            arm.controller.stop()
         ended = arm.tick()
         self._clock.follow_real_time(steered=arm.controller is not None and bool(arm.controller.commanded))
         self._parking.take(ended)
@@ -240,7 +248,7 @@ class Supervisor:
         task = RELAXING_ARM if self._runs(RELAXING_ARM) else ""
         reason = "it is being relaxed" if task else self._reason
         state = arm_state(arm, self.mode, self.fault, reason, lateness_s, self._clock)
-        state = replace(state, task=task, tick_s=pacer.tick_s)
+        state = replace(state, task=task, tick_s=pacer.tick_s, halted=self._halted, last_stop=self._last_stop)
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.
             self._state_due = max(self._state_due + self._ticks_per_state, 1)
@@ -333,14 +341,35 @@ class Supervisor:
     def lose_server(self) -> None:
         """Begin to bring the arm to its end state: the server's process is gone."""
         if self._end is None:
-            log.warning("the server is gone: %s", self._consequence(self._config.on_server_lost))
-            self._end, self._end_epoch = self._config.on_server_lost, self._last_stop
+            end = self._end_when_lost
+            log.warning("the server is gone: %s", self._consequence(end))
+            self._end, self._end_epoch = end, self._last_stop
+
+    @property
+    def _end_when_lost(self) -> EndState:
+        """End state of an arm whose server is lost: nobody sees an arm move to its rest pose that somebody stopped."""
+        end = self._config.on_server_lost
+        return EndState.HOLD if self._stopped and end is EndState.PARK else end
+
+    def _halts_after(self, standstill_s: float, sentence: str) -> bool:
+        """Take a standstill for a stop; return True if it is one.
+
+        A motion may go on after a standstill within the watchdog's timeout, and begin after one within STANDSTILL_S.
+        """
+        controller, limit_s = self._controller, self._watchdog_s / self._rate
+        if controller is None or standstill_s <= (limit_s if controller.moving else max(limit_s, STANDSTILL_S)):
+            return False
+        if not self._halted:
+            self._halted, self._state_due = sentence.format(standstill_s), 0
+        return True
 
     def _move(self, command: Execute | Stream) -> None:
         refused, reason = Outcome.REFUSED, ""
         controller = self._controller
         if command.epoch < self._last_stop:
             refused, reason = Outcome.STOPPED, STOPPED_SINCE
+        elif self._halted:
+            refused, reason = Outcome.STOPPED, self._halted
         elif self.arm is None:
             refused, reason = Outcome.BUS_LOST, f"the arm is not connected: {self._reason}"
         elif controller is None or (self._runs(CONNECTING) and controller.fault is None):
@@ -349,6 +378,7 @@ class Supervisor:
             reason = "the arm is being relaxed" if self._end is None else "the arm process is ending"
         else:
             ended = controller.execute(command) if isinstance(command, Execute) else controller.stream(command)
+            self._stopped = self._stopped and ended is not None and ended.outcome is Outcome.REFUSED
             self._report([ended] if ended is not None else [])
             return
         self._report([MotionEnded(command.motion_id, refused, reason)])
@@ -377,6 +407,7 @@ class Supervisor:
             Order.RESET_FAULT: orders.reset_fault,
             Order.WRITE_CALIBRATION: lambda: orders.write_calibration(command.calibration),
         }
+        self._stopped = urgent
         steps = starts[order]()
         self._begin(_Task(_NAMES[order], steps, command.number, now_s, urgent))
 
@@ -445,11 +476,13 @@ class Supervisor:
             self.lose_server()
         lost = now_s - self._heard_s > self._watchdog_s
         if lost and not self._server_lost and self._end is None:
-            consequence = self._consequence(self._config.on_server_lost)
+            consequence = self._consequence(self._end_when_lost)
             line = f"nothing heard of the server for {(now_s - self._heard_s) / self._rate:.1f} s: {consequence}"
             self._log_limiter.write(log, logging.WARNING, line, "silence", now_s)
         self._server_lost = lost
-        end = self._config.on_server_lost if lost and self._end is None else self._end
+        if self._end is None:
+            self._halts_after((now_s - self._heard_s) / self._rate, "nothing was heard of the server for {:.1f} s")
+        end = self._end_when_lost if lost and self._end is None else self._end
         controller = self._controller
         if controller is None:
             return

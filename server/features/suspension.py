@@ -1,10 +1,15 @@
-"""Suspension of the machine, as behind a closed lid: what moved the arm before it moves nothing afterwards."""
+"""Standstills of the machine, the server or an arm process: what moved the arm before one moves nothing afterwards.
+
+The machine stands still behind a closed lid; a process in a frozen container, in a debugger, and by SIGSTOP or Ctrl-Z.
+"""
 
 import logging
 import time
 from collections.abc import Callable
 from typing import TypeAlias
 
+from robot.messages import ArmState
+from server.execution.monitors import title_of
 from server.features.context import ServerContext
 from server.lifecycle import Feature
 
@@ -28,12 +33,17 @@ def suspended_s() -> Bounds:
 
 
 class Suspension(Feature):
-    """Stops all arms when the machine was suspended: hours later nobody expects that they go on."""
+    """Stops all arms when the machine was suspended, or the arm that a standstill has stopped.
+
+    Hours later nobody expects that they go on. The arm process notices each standstill but the machine's, whose clocks
+    stand still as well.
+    """
 
     name = "suspension"
 
     def __init__(self, context: ServerContext, suspended: Callable[[], Bounds] = suspended_s) -> None:
         self._context, self._suspended = context, suspended
+        self._arms = {each.name: each for each in context.arms}
         self._before_s = suspended()[1]
 
     async def start(self) -> None:
@@ -41,6 +51,12 @@ class Suspension(Feature):
 
     async def stop(self) -> None:
         self._timer.cancel()
+
+    def on_state(self, arm: str, state: ArmState) -> None:
+        # Once: the arm process has not received the stop that this one leads to.
+        if state.halted and state.last_stop >= self._arms[arm].arm.last_stop:
+            log.warning("%s; all motions of %s are stopped", state.halted, title_of(arm))
+            self._arms[arm].stop(state.halted)
 
     def _look(self) -> None:
         self._timer = self._context.graph.call_later(LOOK_S, self._look)

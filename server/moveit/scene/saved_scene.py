@@ -77,12 +77,13 @@ class SavedScene:
             log.warning("the planning scene is not kept: %s %s; %s", path, error.strerror, remedy)
             return
         except OSError as error:
+            self._give_back()
             log.warning("the planning scene is not kept in %s: %s", path, error.strerror)
             return
         try:
             await self._restore()
         except OSError as error:
-            self._lock.release()
+            self._give_back()
             log.warning("the planning scene is not kept: %s cannot be read: %s", path, error.strerror)
             return
         self._kept = self._state.contents
@@ -98,7 +99,12 @@ class SavedScene:
                 self._keeping.cancel()
             await self._write()
         finally:
-            self._lock.release()
+            self._keeping.cancel()
+            self._give_back()
+
+    def _give_back(self) -> None:
+        """Give the lock back once the disk has ended its work: a late write would replace the next server's scene."""
+        self._disk.follow(self._lock.release)
 
     async def _restore(self) -> None:
         try:

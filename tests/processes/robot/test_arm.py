@@ -125,6 +125,10 @@ async def test_a_server_that_hangs_is_noticed_and_the_arm_stopped(rig: ArmOnServ
         time.sleep(0.1)  # noqa: ASYNC251 - it is to block the event loop
     assert (await asyncio.wait_for(motion, TIMEOUT_S)).outcome is Outcome.STOPPED
     await until(lambda: rig.arm.state.mode is Mode.HOLDING)
+    # What was requested meanwhile, and is read late, moves nothing.
+    late = await asyncio.wait_for(rig.arm.execute(to(rig.pan_rad, start_rad=rig.pan_rad)), TIMEOUT_S)
+    assert late.message == rig.arm.state.halted
+    assert late.message.startswith("nothing was heard of the server for 5.")
 
 
 async def test_an_arm_whose_process_is_starved_goes_on_from_where_it_was(rig: ArmOnServos) -> None:
@@ -191,6 +195,7 @@ async def test_an_arm_process_that_hangs_is_replaced(rig: ArmOnServos, monkeypat
         assert (await asyncio.wait_for(motion, TIMEOUT_S)).outcome is Outcome.PROCESS_LOST
     await until(lambda: rig.arm.state.mode is Mode.HOLDING)
     assert rig.arm.pid != hanging
+    assert {state.halted for state in rig.states} == {"", "the arm process was silent for 5 s"}
 
 
 class FailingStarts:

@@ -13,7 +13,7 @@ import pytest_asyncio
 from harness.waiting import TIMEOUT_S, until
 from robot.arm import MAX_EARLY_ORDERS, ArmProcess, ArmStream, start_arm_process
 from robot.hardware.config import SerialConfig
-from robot.messages import ArmConfig, ArmState, Command, CommandDone, Mode, MotionEnded, Order, Outcome, Setpoint, Stop
+from robot.messages import ArmConfig, ArmState, Command, CommandDone, Mode, MotionEnded, Order, Outcome, Setpoint
 from robot.processes import StartedChild
 from tests.helpers.arm_contract import STILL_RAD, ArmContract, Place, place_of
 from tests.helpers.robots import nominal_calibration, so101
@@ -50,7 +50,7 @@ async def test_orders_that_come_before_the_configuration_are_kept_for_it_up_to_a
     rig.process.send("hello")
     kept = [rig.process.order(Command(number, Order.EMERGENCY_STOP)) for number in range(MAX_EARLY_ORDERS + 1)]
     assert (kept, rig.process.configured) == ([True] * MAX_EARLY_ORDERS + [False], False)
-    rig.process.configure(CONFIG, Stop())
+    rig.process.configure(CONFIG)
     assert "/dev/does-not-exist" in (await rig.until_message(ArmState)).reason
     answer = await rig.until_message(CommandDone)
     assert (answer.number, answer.done) == (0, False)
@@ -62,7 +62,7 @@ async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first(
     rig = ProcessRig(started)
     await rig.process.launch()
     assert rig.process.pid == started.process.pid
-    rig.process.configure(CONFIG, Stop())
+    rig.process.configure(CONFIG)
     await rig.until_message(ArmState)
     await rig.process.kill()
     await rig.process.launch()
@@ -73,11 +73,11 @@ async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first(
 
 
 async def test_a_process_that_has_died_takes_no_orders(rig: ProcessRig) -> None:
-    rig.process.configure(CONFIG, Stop())
+    rig.process.configure(CONFIG)
     await rig.process.kill()
     assert (rig.exits, rig.process.configured) == (1, False)
     assert not rig.process.order(Command(1, Order.ENABLE))
-    rig.process.configure(CONFIG, Stop())
+    rig.process.configure(CONFIG)
     assert not rig.process.configured
 
 

@@ -11,6 +11,7 @@ from robot.messages import (
     PARKING_TIMEOUT_S,
     ChangePace,
     Command,
+    EmergencyPolicy,
     EndState,
     Execute,
     KeepParking,
@@ -207,6 +208,43 @@ def test_a_server_that_comes_back_while_the_arm_brakes_or_parks_finds_it_holding
     rig.run(6.0)
     assert rig.mode is Mode.HOLDING
     assert distance_to_rest(rig) > 0.3
+
+
+# What is asked of the arm after a stop, before its server is lost; and True if it then parks.
+SINCE_A_STOP: dict[str, tuple[tuple[Any, ...], bool]] = {
+    "nothing": ((), False),
+    "a motion that is refused": ((Execute(1, smooth_move({"gripper": (0.5, 0.0)}, 1.0), epoch=2),), False),
+    "a motion": ((Execute(1, smooth_move({"gripper": (0.0, 0.009)}, 1.0), epoch=2),), True),
+    "to hold": ((Command(1, Order.ENABLE, epoch=2),), True),
+}
+
+
+@pytest.mark.parametrize(("asked", "parks"), SINCE_A_STOP.values(), ids=SINCE_A_STOP)
+@pytest.mark.parametrize("lost", [True, False], ids=["server gone", "server silent"])
+def test_an_arm_that_was_stopped_and_asked_for_nothing_since_holds_without_its_server(
+    rig: ArmRig, asked: tuple[Any, ...], parks: bool, lost: bool
+) -> None:
+    rig.supervisor.handle(Stop(epoch=2))
+    for each in asked:
+        rig.supervisor.handle(each)
+        rig.run(1.5)
+    if lost:
+        lose_server(rig)
+        until_ended(rig)
+    else:
+        rig.alive = False
+        rig.run(12.0)
+    assert rig.torque() == [0 if parks else 1] * 6
+    assert (distance_to_rest(rig) < SINK_RAD) == parks
+
+
+def test_an_arm_that_holds_after_an_emergency_stop_holds_without_its_server() -> None:
+    rig = ArmRig(on_server_lost=EndState.PARK, on_emergency_stop=EmergencyPolicy.HOLD).started()
+    rig.supervisor.handle(Command(1, Order.EMERGENCY_STOP, epoch=2))
+    rig.wait(1)
+    lose_server(rig)
+    until_ended(rig)
+    assert rig.torque() == [1] * 6
 
 
 def test_a_relaxed_arm_is_not_parked(rig: ArmRig, caplog: pytest.LogCaptureFixture) -> None:

@@ -258,16 +258,62 @@ def test_a_servo_that_started_anew_is_found_within_a_second(emulator: SteppedEmu
     assert rig.torque() == [1] * 6
 
 
-def test_a_silent_server_stops_the_arm_which_goes_on_when_it_is_back(moving: ArmRig) -> None:
+def assert_stopped_until_the_server_stops_all(rig: ArmRig, standstill: str) -> None:
+    """Assert that the arm refuses each motion with the standstill's sentence, and takes one after the next stop."""
+    assert rig.state.halted.startswith(standstill)
+    here = float(rig.state.goal_rad[0])
+    rig.sent.clear()
+    back = smooth_move({"shoulder_pan": (here, here - 0.2)}, 0.5)
+    rig.execute(back, motion_id=2)
+    rig.supervisor.handle(Stream(3, PAN.joint_names))
+    assert [(each.outcome, each.message.startswith(standstill)) for each in rig.ended] == [(Outcome.STOPPED, True)] * 2
+    # A brake, or the stop of one motion, is none of all.
+    for stop in (Stop(), Stop(motion_id=2)):
+        rig.supervisor.handle(stop)
+    rig.execute(back, motion_id=4)
+    rig.supervisor.handle(Stop(epoch=1))
+    rig.execute(back, motion_id=5, epoch=1)
+    rig.until(lambda: len(rig.ended) == 4)
+    assert rig.outcomes[2:] == [Outcome.STOPPED, Outcome.REACHED]
+    assert rig.state.halted == ""
+
+
+def test_a_silent_server_stops_the_arm_which_takes_motions_again_once_that_has_taken_note(moving: ArmRig) -> None:
     moving.alive = False
     moving.until_mode(Mode.HOLDING)
     assert moving.outcomes == [Outcome.STOPPED]
     moving.alive = True
     moving.tick()
-    here = float(moving.state.goal_rad[0])
-    moving.execute(smooth_move({"shoulder_pan": (here, here - 0.2)}, 0.5), motion_id=2)
-    moving.until(lambda: len(moving.ended) == 2)
-    assert moving.outcomes[1] is Outcome.REACHED
+    assert_stopped_until_the_server_stops_all(moving, "nothing was heard of the server for 0.5 s")
+
+
+def test_a_silent_server_stops_an_arm_at_rest_later(rig: ArmRig) -> None:
+    rig.alive = False
+    rig.run(4.9)
+    assert rig.state.halted == ""
+    rig.run(0.2)
+    rig.alive = True
+    assert_stopped_until_the_server_stops_all(rig, "nothing was heard of the server for 5.0 s")
+
+
+@pytest.mark.parametrize("hardware", [METAL, *SIMULATED])
+@pytest.mark.parametrize("moves", [True, False])
+def test_an_arm_whose_process_stood_still_brakes_and_does_not_go_on(
+    start_rig: Start, hardware: HardwareConfig, moves: bool
+) -> None:
+    rig = start_rig(hardware=hardware)
+    limit_s = 0.5 if moves and hardware is METAL else 5.0
+    if moves:
+        rig.execute(PAN)
+        rig.run(0.4)
+    for share, halted in ((0.9, ""), (1.1, f"the arm process stood still for {1.1 * limit_s:.1f} s")):
+        rig.clock.advance(share * limit_s)
+        rig.tick()
+        assert rig.state.halted == halted
+    rig.until_mode(Mode.HOLDING)
+    assert rig.outcomes == [Outcome.STOPPED] * moves
+    assert rig.state.goal_rad[0] < 0.6
+    assert_stopped_until_the_server_stops_all(rig, "the arm process stood still for ")
 
 
 @pytest.mark.parametrize(

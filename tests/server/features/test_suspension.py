@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ class Laptop(RecordedStage):
         self.suspended: Bounds = (0.0, 0.0)
         self.results: list[str] = []
         self.suspension = Suspension(self.stage.context, lambda: self.suspended)
+        self.stage._features += (self.suspension,)
         listener = self.stage.graph.node("listener")
         result = "/moveit_goal_result", "moveit_msgs/MoveItErrorCodes"
         listener.subscribe(*result, lambda published: self.results.append(published.msg["message"]))
@@ -47,7 +49,6 @@ async def laptop() -> AsyncIterator[Laptop]:
     await laptop.suspension.start()
     async for each in laptop.run():
         yield each
-        await each.suspension.stop()
 
 
 async def test_after_a_suspension_the_arm_brakes_and_goals_from_before_it_begin_no_more(laptop: Laptop) -> None:
@@ -60,6 +61,26 @@ async def test_after_a_suspension_the_arm_brakes_and_goals_from_before_it_begin_
     assert np.ptp(laptop.arm_rad[-100:, 0]) == 0.0
     assert 0.2 < laptop.goals_rad[-1][0] < 1.0
     await laptop.begin_to_move()
+
+
+async def test_after_a_standstill_of_the_arm_process_all_goals_end_and_later_ones_begin(laptop: Laptop) -> None:
+    await laptop.begin_to_move()
+    laptop.arm.rig.clock.advance(60.0)
+    await asyncio.sleep(2.0)
+    waiting, active = laptop.results
+    assert waiting == "the arm process stood still for 60.0 s before this goal's turn came"
+    assert active.startswith("the arm process stood still for 60.0 s; the arm stands at ")
+    assert np.ptp(laptop.arm_rad[-100:, 0]) == 0.0
+    await laptop.begin_to_move()
+
+
+async def test_states_that_are_older_than_the_stop_after_a_standstill_lead_to_no_other_stop(laptop: Laptop) -> None:
+    halted = replace(laptop.arm.state, halted="the arm process stood still for 60.0 s", last_stop=laptop.arm.last_stop)
+    laptop.suspension.on_state("", halted)
+    stopped = laptop.arm.last_stop
+    assert stopped > halted.last_stop
+    laptop.suspension.on_state("", halted)
+    assert laptop.arm.last_stop == stopped
 
 
 async def test_clocks_that_are_read_late_are_no_suspension(laptop: Laptop) -> None:

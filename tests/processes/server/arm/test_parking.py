@@ -155,6 +155,8 @@ async def test_a_scene_in_which_there_is_no_way_has_the_arm_relaxed_where_it_is(
         assert not answer["success"]
         assert answer["message"].startswith("the arm is not parked: ")
         await client.until_mode("holding")
+        # The request to park has stopped all else. After a stop the arm holds until something else is asked of it.
+        assert (await client.call("/arm/enable"))["success"]
     parking.kill()
     assert parking.relaxed()
     assert not parking.rests()

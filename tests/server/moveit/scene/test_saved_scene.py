@@ -238,6 +238,50 @@ async def test_a_server_goes_on_and_ends_though_its_disk_does_not_take_the_scene
     assert caplog.text.count("the disk does not answer within 20 s") == 1
 
 
+def is_locked(path: Path) -> bool:
+    lock = files.FileLock(path)
+    try:
+        lock.acquire()
+    except files.FileLockedError:
+        return True
+    lock.release()
+    return False
+
+
+class StuckDisk:
+    """A disk that does not answer until it is let go."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.answers = asyncio.Event()
+        self._inline = asyncio.to_thread
+        monkeypatch.setattr(asyncio, "to_thread", self._work)
+
+    async def _work(self, work: Callable[[], object]) -> object:
+        await self.answers.wait()
+        return await self._inline(work)
+
+
+async def test_a_file_whose_write_the_disk_holds_is_no_other_server_s_before_that_has_ended(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with Run(path) as run:
+        disk = StuckDisk(monkeypatch)
+        run.add("a")
+        await asyncio.sleep(WRITTEN_S)
+    assert is_locked(path)
+    disk.answers.set()
+    await asyncio.sleep(DELAY_S)
+    assert (run.written(), is_locked(path)) == (["a"], False)
+
+
+async def test_a_lock_that_the_disk_gives_too_late_is_given_back(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk = StuckDisk(monkeypatch)
+    async with Run(path):
+        disk.answers.set()
+        await asyncio.sleep(DELAY_S)
+        assert not is_locked(path)
+
+
 async def test_a_second_server_keeps_its_hands_off_the_first_ones_scene(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -185,7 +185,7 @@ class ConnectSearch:
         while not should_stop():
             # The smaller tree grows: it is in the narrower place.
             tree, other = sorted(self._trees, key=lambda each: len(each.points))
-            drawn = self._rng.uniform(space.lower_rad, space.upper_rad, (DRAWN, len(space.lower_rad)))
+            drawn = space.drawn(self._rng, DRAWN)
             for index, point in tree.near(drawn):
                 here = grower.grow(tree, index, point, STEPS_AT_ONCE if self._project else 1)
                 if here == index:
@@ -319,10 +319,12 @@ def via_point(
     shortening keeps it on that side; of via points drawn at random, those come first that hardly take longer than no
     obstacle would.
     """
-    space, goals = query.space, np.array(query.goals)
-    points = rng.uniform(space.lower_rad, space.upper_rad, (VIA_POINTS, len(query.start)))
-    times_s = _times_s(points, query.start[np.newaxis], velocity_rad_s) + _times_s(points, goals, velocity_rad_s)
-    most, times_s = space.checks + MOST_CHECKS, times_s.ravel()
+    space, goals, points = query.space, query.goals, query.space.drawn(rng, VIA_POINTS)
+    # numpy is slow with a last axis of five, and with arrays that do not fit into the cache.
+    by_joint, tops = np.ascontiguousarray(points.T), velocity_rad_s[:, np.newaxis]
+    ends = (end[:, np.newaxis] for end in (query.start, *goals))
+    from_start_s, *to_goals_s = ((np.abs(by_joint - end) / tops).max(axis=0) for end in ends)
+    most, times_s = space.checks + MOST_CHECKS, (np.array(to_goals_s) + from_start_s).ravel()
     # Each try is a check at least, so hardly any is needed; sorting all of them took longer than the checks.
     few = np.flatnonzero(times_s <= np.partition(times_s, MOST_CHECKS - 1)[MOST_CHECKS - 1])
     for index in few[np.argsort(times_s[few], kind="stable")].tolist():
@@ -333,10 +335,3 @@ def via_point(
         if all(line_free_sparsely(space, first, last, query.step_m) for first, last in lines):
             return np.array([query.start, point, goal])
     return None
-
-
-def _times_s(points: Vector, others: Vector, velocity_rad_s: Vector) -> Vector:
-    """Return how long the slowest joint takes between each two of some points, shape (others, points) [s]."""
-    # numpy is slow with a last axis of five.
-    moved_rad = np.abs(points.T[:, np.newaxis] - others.T[:, :, np.newaxis])
-    return np.asarray(np.max(moved_rad / velocity_rad_s[:, np.newaxis, np.newaxis], axis=0))

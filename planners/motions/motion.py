@@ -252,10 +252,12 @@ class _Searching:
         self._round_end = self._space.checks + CHECKS_A_ROUND if has_motion else np.inf
         self._last_check = self._last_check if has_motion else np.inf
         while len(found) < searches and not self._enough():
+            began = self._space.checks
             method, path = self._path(next(self._number))
             step_m = CURVE_STEPS[self._finer] * float(self._space.travel_m_per_rad.max())
             if path is None or not self._holds(path, step_m):
                 continue
+            effort = self._space.checks - began
             curve = polyline(path, self._task.limits, self._task.window)
             curve = curve if self._lead is None else self._lead.then(curve)
             if np.isinf(self._round_end):
@@ -264,8 +266,9 @@ class _Searching:
             along = partial(curve_free, self._space, step_m=step_m, should_stop=self._budget.used_up)
             stages = smooth(curve, self._task.limits, self._space.free, along, self._rng, self._enough)
             found.append((method, stages))
-            # Obstacles cost it hardly any time.
-            if TICK_S * (stages[-1].duration_ticks - LEAST_GAIN_TICKS) < self._task.least_s:
+            # Obstacles cost it hardly any time, or no other path is found in the checks that are left.
+            quickest = TICK_S * (stages[-1].duration_ticks - LEAST_GAIN_TICKS) < self._task.least_s
+            if quickest or self._last_check - self._space.checks < effort:
                 self._last_check = self._space.checks
         return found
 

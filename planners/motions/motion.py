@@ -40,6 +40,7 @@ from planners.motions.path import (
     Project,
     Query,
     TreeSearch,
+    amid_steps,
     curve_free,
     line_free_sparsely,
     via_point,
@@ -287,9 +288,10 @@ class _Searching:
         return self._name, path
 
     def _holds(self, path: Vector, step_m: float) -> bool:
-        """Return true if a path is free at half the search's steps, where curves have shorter ones; else refine."""
-        half_m = 0.5 * SEARCH_STEPS_M[self._finer]
-        free = half_m <= step_m or all(line_free_sparsely(self._space, *ends, half_m) for ends in pairwise(path))
+        """Return true if a path is free amid the search's steps too, where curves have shorter ones; else refine."""
+        search_m = SEARCH_STEPS_M[self._finer]
+        edges = () if 0.5 * search_m <= step_m else pairwise(path)
+        free = all(self._space.free(point) for edge in edges for point in amid_steps(self._space, *edge, search_m))
         self._finer = min(self._finer + (not free), len(SEARCH_STEPS_M) - 1)
         return free
 

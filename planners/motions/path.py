@@ -71,6 +71,12 @@ def line_free_sparsely(space: JointSpace, start: Vector, end: Vector, step_m: fl
     return all(map(space.free, start + shares * (end - start)))
 
 
+def amid_steps(space: JointSpace, start: Vector, end: Vector, step_m: float) -> Vector:
+    """Return the points half-way between those of :func:`line_free_sparsely`, shape (m, n) [rad]."""
+    shares = coarse_first(max(1, math.ceil(np.abs(end - start) @ space.travel_m_per_rad / step_m)))
+    return start + (shares - 0.5 / len(shares)) * (end - start)
+
+
 def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Callable[[], bool] = never) -> bool:
     """Return true if joints stay in range and nothing touches at steps along a curve; its ends are taken to be free."""
     if not curve.stays_within(space.lower_rad, space.upper_rad):

@@ -47,6 +47,7 @@ STEP_RAD = 0.15
 LEAST_PROGRESS = 0.2  # a step that has been brought back to less than this share of its length leads nowhere new
 STEPS_AT_ONCE = 20  # trees that reach out further at once are caught in corners
 DRAWN = 64  # points drawn at once
+LEAST_SQUARE = 1e-12  # squares of distances are differences, and may be below 0 by rounding
 COMPARED = 16_384  # distances to a tree computed at once: all of them at once took up to 3 ms, out of the cache
 DOMAIN_EDGES = 4.0  # edges from a blocked point within which it is still gone on from
 VIA_POINTS = 1024  # via points drawn at once, and compared in one numpy call
@@ -192,8 +193,8 @@ class ConnectSearch:
             # The smaller tree grows: it is in the narrower place.
             tree, other = sorted(self._trees, key=lambda each: len(each.points))
             drawn = space.drawn(self._rng, DRAWN)
-            for index, point in tree.near(drawn):
-                here = grower.grow(tree, index, point, STEPS_AT_ONCE if self._project else 1)
+            for index, point in tree.near(drawn, grower.edge):
+                here = grower.grow(tree, index, point) if self._project else grower.reach(tree, index, point)
                 if here == index:
                     continue
                 there = grower.grow(other, other.nearest(tree.points[here]), tree.points[here])
@@ -238,16 +239,18 @@ class _Tree:
     def nearest(self, point: Vector) -> int:
         return int(np.argmin(self._squares(point[np.newaxis])))
 
-    def near(self, drawn: Vector) -> Iterator[tuple[int, Vector]]:
-        """Yield the drawn points, shape (m, n), that are within reach of the tree's nearest point, and its index."""
+    def near(self, drawn: Vector, edge: float) -> Iterator[tuple[int, Vector]]:
+        """Yield, of the drawn points, (m, n), within reach of the tree, the nearest one's index and an edge from it."""
         own, count = np.sum((drawn * self._weights) ** 2, axis=1), max(8, COMPARED // len(self._parents))
         for first in range(0, len(drawn), count):
             some = slice(first, first + count)
             squares = self._squares(drawn[some])
-            away = (squares.min(axis=1) + own[some]).tolist()
-            for index, square, point in zip(squares.argmin(axis=1).tolist(), away, drawn[some], strict=True):
-                if square <= self.reach[index] ** 2:
-                    yield index, point
+            nearest, away = squares.argmin(axis=1), np.sqrt(np.maximum(squares.min(axis=1) + own[some], LEAST_SQUARE))
+            points = self.points[nearest]
+            ends = points + np.minimum(1.0, edge / away)[:, np.newaxis] * (drawn[some] - points)
+            for index, distance, end in zip(nearest.tolist(), away.tolist(), ends, strict=True):
+                if distance <= self.reach[index]:
+                    yield index, end
 
     def add(self, point: Vector, parent: int) -> int:
         index, weighted = len(self._parents), point * self._weights
@@ -277,12 +280,19 @@ class _Grower:
         self._project = project
         self._should_stop = should_stop
         # No point of the robot travels further than a weighted distance times the length of the weights.
-        self._edge = TREE_EDGE_M / float(np.linalg.norm(query.weights))
-        self._domain = DOMAIN_EDGES * self._edge if project is None else np.inf
+        edge = TREE_EDGE_M / float(np.linalg.norm(query.weights))
+        self.edge, self._domain = (edge, DOMAIN_EDGES * edge) if project is None else (np.inf, np.inf)
 
-    def grow(self, tree: _Tree, index: int, target: Vector, steps: int = STEPS_AT_ONCE) -> int:
+    def reach(self, tree: _Tree, index: int, point: Vector) -> int:
+        """Go from a point of a tree to another one; the index of the last point."""
+        if line_free_sparsely(self._query.space, tree.points[index], point, self._query.step_m):
+            return tree.add(point, index)
+        tree.reach[index] = self._domain
+        return index
+
+    def grow(self, tree: _Tree, index: int, target: Vector) -> int:
         """Step from a point of a tree towards a target as far as it goes; the index of the last point."""
-        for taken in range(steps):
+        for taken in range(STEPS_AT_ONCE):
             point = tree.points[index]
             if taken and self._should_stop():  # before the first step the caller asks, once for many
                 break
@@ -299,7 +309,7 @@ class _Grower:
         way = target - point
         weighted = way * self._query.weights
         length = math.sqrt(weighted @ weighted)
-        reached = target if length <= self._edge else point + way * (self._edge / length)
+        reached = target if length <= self.edge else point + way * (self.edge / length)
         return reached if line_free_sparsely(self._query.space, point, reached, self._query.step_m) else None
 
     def _step(self, point: Vector, target: Vector, project: Project) -> Vector | None:

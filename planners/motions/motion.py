@@ -102,9 +102,9 @@ class MotionTask:
     @cached_property
     def least_s(self) -> float:
         """Return the time that the soonest goal takes where nothing is in the way; 0 without a goal [s]."""
-        rest = np.zeros_like(self.start)
-        times_s = (float(least_time_s(self.start, self.start_velocity, goal, rest, self.limits)) for goal in self.goals)
-        return min(times_s, default=0.0)
+        goals, rest = np.array(self.goals).reshape(-1, len(self.start)), np.zeros_like(self.start)
+        times_s = least_time_s(self.start, self.start_velocity, goals, rest, self.limits)
+        return float(times_s.min()) if len(goals) else 0.0
 
     @property
     def curve_start(self) -> Vector:

@@ -27,7 +27,7 @@ from robot.trajectory import Vector
 # Checks a second on the machine that the optimisation time is meant for, all that goes with them included.
 NOMINAL_CHECKS_PER_S = 30_000
 
-CURVE_SAMPLES = 64  # points between which the travel of a curve is measured
+CURVE_SHARES = np.linspace(0.0, 1.0, 65)  # shares of a curve's time between which its travel is measured
 CHECKS_A_POLL = 16  # checks of a curve between two polls for a cancel, which take a quarter of a check in a worker
 
 # No point of the arm travels further along a tree edge [m]. Longer edges mean fewer nodes and fewer checks until a path
@@ -82,10 +82,9 @@ def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Call
     """Return true if joints stay in range and nothing touches at steps along a curve; its ends are taken to be free."""
     if not curve.stays_within(space.lower_rad, space.upper_rad):
         return False
-    ticks = np.linspace(0.0, curve.duration_ticks, CURVE_SAMPLES + 1)
+    ticks, travel_m = curve.duration_ticks * CURVE_SHARES, np.zeros_like(CURVE_SHARES)
     samples = curve.at(ticks)[0]
-    moved_m = np.abs(np.diff(samples, axis=0)) @ space.travel_m_per_rad
-    travel_m = np.concatenate(([0.0], np.cumsum(moved_m)))
+    (np.abs(samples[1:] - samples[:-1]) @ space.travel_m_per_rad).cumsum(out=travel_m[1:])
     shares = coarse_first(max(1, math.ceil(travel_m[-1] / step_m)))[1:, 0]
     points = curve.at(np.interp(travel_m[-1] * shares, travel_m, ticks))[0]
     return all((i % CHECKS_A_POLL or not should_stop()) and space.free(point) for i, point in enumerate(points))

@@ -177,18 +177,15 @@ def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
     """Return the failure if a search from the stopping point is of no use, else None."""
     stop = lead.positions_rad[-1]
     if np.any((stop < task.space.lower_rad) | (stop > task.space.upper_rad)):
-        return PlanningFailure(
-            MoveItErrorCode.START_STATE_INVALID, "the arm moves too fast to stop within its joint limits"
-        )
+        text = "the arm moves too fast to stop within its joint limits"
+        return PlanningFailure(MoveItErrorCode.START_STATE_INVALID, text)
     contact = certify(task.space, lead.sampled(task.joint_names))
     if contact is None:
         return None
     pairs = [[pair.first, pair.second] for pair in contact.pairs]
-    return PlanningFailure(
-        MoveItErrorCode.START_STATE_INVALID,
-        f"the arm moves too fast to stop before it touches something after {contact.time_s:.2f} s",
-        {"time_s": contact.time_s, "colliding_pairs": pairs},
-    )
+    text = f"the arm moves too fast to stop before it touches something after {contact.time_s:.2f} s"
+    details = {"time_s": contact.time_s, "colliding_pairs": pairs}
+    return PlanningFailure(MoveItErrorCode.START_STATE_INVALID, text, details)
 
 
 class _Searching:

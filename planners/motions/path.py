@@ -46,8 +46,7 @@ STEP_RAD = 0.15
 
 LEAST_PROGRESS = 0.2  # a step that has been brought back to less than this share of its length leads nowhere new
 STEPS_AT_ONCE = 20  # trees that reach out further at once are caught in corners
-DRAWN = 64  # points drawn at once
-LEAST_SQUARE = 1e-12  # squares of distances are differences, and may be below 0 by rounding
+DRAWN, LEAST = 64, 1e-12  # points drawn at once, and the least square of a distance, which may be below 0 by rounding
 COMPARED = 16_384  # distances to a tree computed at once: all of them at once took up to 3 ms, out of the cache
 DOMAIN_EDGES = 4.0  # edges from a blocked point within which it is still gone on from
 VIA_POINTS = 1024  # via points drawn at once, and compared in one numpy call
@@ -73,7 +72,7 @@ def line_free_sparsely(space: JointSpace, start: Vector, end: Vector, step_m: fl
 
 
 def amid_steps(space: JointSpace, start: Vector, end: Vector, step_m: float) -> Vector:
-    """Return the points half-way between those of :func:`line_free_sparsely`, shape (m, n) [rad]."""
+    """Return points half-way between the points of :func:`line_free_sparsely`, shape (m, n) [rad]."""
     shares = coarse_first(max(1, math.ceil(np.abs(end - start) @ space.travel_m_per_rad / step_m)))
     return start + (shares - 0.5 / len(shares)) * (end - start)
 
@@ -244,7 +243,7 @@ class _Tree:
         for first in range(0, len(drawn), count):
             some = slice(first, first + count)
             squares = self._squares(drawn[some])
-            nearest, away = squares.argmin(axis=1), np.sqrt(np.maximum(squares.min(axis=1) + own[some], LEAST_SQUARE))
+            nearest, away = squares.argmin(axis=1), np.sqrt(np.maximum(squares.min(axis=1) + own[some], LEAST))
             points = self.points[nearest]
             ends = points + np.minimum(1.0, edge / away)[:, np.newaxis] * (drawn[some] - points)
             for index, distance, end in zip(nearest.tolist(), away.tolist(), ends, strict=True):
@@ -336,9 +335,8 @@ def via_point(
     """
     space, goals, points = query.space, query.goals, query.space.drawn(rng, VIA_POINTS)
     # numpy is slow with a last axis of five, and with arrays that do not fit into the cache.
-    by_joint, tops = np.ascontiguousarray(points.T), velocity_rad_s[:, np.newaxis]
-    ends = (end[:, np.newaxis] for end in (query.start, *goals))
-    from_start_s, *to_goals_s = ((np.abs(by_joint - end) / tops).max(axis=0) for end in ends)
+    by_joint, tops, ends = np.ascontiguousarray(points.T), velocity_rad_s[:, np.newaxis], (query.start, *goals)
+    from_start_s, *to_goals_s = ((np.abs(by_joint - end[:, np.newaxis]) / tops).max(axis=0) for end in ends)
     most, times_s = space.checks + MOST_CHECKS, (np.array(to_goals_s) + from_start_s).ravel()
     # Each try is a check at least, so hardly any is needed; sorting all of them took longer than the checks.
     few = np.flatnonzero(times_s <= np.partition(times_s, MOST_CHECKS - 1)[MOST_CHECKS - 1])

@@ -79,11 +79,6 @@ class JointSpace:
         q[self._columns] = point
         return q
 
-    def drawn(self, rng: np.random.Generator, count: int) -> Vector:
-        """Draw points within the limits, shape (count, n): as `uniform` does, which takes twice as long."""
-        shares = rng.random((count, len(self.start)))
-        return np.asarray(self.lower_rad + (self.upper_rad - self.lower_rad) * shares)
-
     def free(self, point: Vector | Sequence[float]) -> bool:
         """Tell whether the robot touches nothing there, and the condition holds."""
         self.checks += 1

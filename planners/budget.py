@@ -38,11 +38,8 @@ class Budget:
         """Return the reason for which planning stopped; to be called once the budget is used up."""
         if self.should_stop():
             return preempted(self.spent_s)
-        return PlanningFailure(
-            MoveItErrorCode.TIMED_OUT,
-            f"no motion was found within the allowed {self._allowed_time_s:g} s",
-            {"allowed_time_s": self._allowed_time_s},
-        )
+        text = f"no motion was found within the allowed {self._allowed_time_s:g} s"
+        return PlanningFailure(MoveItErrorCode.TIMED_OUT, text, {"allowed_time_s": self._allowed_time_s})
 
 
 def preempted(spent_s: float) -> PlanningFailure:

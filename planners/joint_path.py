@@ -38,9 +38,8 @@ def plan_joint_path(
     if budget.used_up():
         return budget.failure()
     if motion is None:
-        raise invalid_motion(
-            f"the path stands still, bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
-        )
+        text = f"the path stands still, bends too sharply to be timed, or takes more than {MAX_DURATION_S:g} s"
+        raise invalid_motion(text)
     _check_limits(motion, robot)
     contact = contact_on(motion, problem.start_rad, collision, budget.should_stop)
     if budget.used_up():
@@ -54,9 +53,8 @@ def _check(problem: JointPathProblem, robot: RobotModel) -> None:
     names, points = problem.joint_names, problem.positions_rad
     unknown = [name for name in names if name not in robot.joints or not robot.joints[name].movable]
     if not names or unknown or len(set(names)) < len(names):
-        raise invalid_motion(
-            f"the path must name movable joints of the robot, each once, not {', '.join(names) or 'none'}"
-        )
+        named = ", ".join(names) or "none"
+        raise invalid_motion(f"the path must name movable joints of the robot, each once, not {named}")
     if len(problem.time_s) < 2 or points.shape != (len(problem.time_s), len(names)):
         raise invalid_motion(f"the path must have 2 points or more, each of {len(names)} joints, not {points.shape}")
     if not (np.isfinite(problem.time_s).all() and np.isfinite(points).all() and (np.diff(problem.time_s) > 0.0).all()):
@@ -107,11 +105,9 @@ def _sparse_contact(space: JointSpace, motion: Trajectory) -> Contact | None:
 
 def touching(contact: Contact, code: MoveItErrorCode) -> PlanningFailure:
     """Return the failure of a motion that touches something: when, what and how deep."""
-    return PlanningFailure(
-        code,
-        f"at {contact.time_s:.2f} s of the motion would touch: {checks.describe_pairs(contact.pairs)}",
-        {"pairs": checks.pairs_as_data(contact.pairs), "contact_s": contact.time_s},
-    )
+    text = f"at {contact.time_s:.2f} s of the motion would touch: {checks.describe_pairs(contact.pairs)}"
+    details = {"pairs": checks.pairs_as_data(contact.pairs), "contact_s": contact.time_s}
+    return PlanningFailure(code, text, details)
 
 
 def invalid_motion(message: str, **details: str | float) -> PlanningError:

@@ -78,9 +78,8 @@ def _check_names(names: list[str], links: Collection[str]) -> PlanningFailure | 
             return PlanningFailure(MoveItErrorCode.INVALID_OBJECT_NAME, "an object of the scene has no name")
         if name in seen or name in links:
             other = "another object of the scene" if name in seen else "a link of the robot"
-            return PlanningFailure(
-                MoveItErrorCode.INVALID_OBJECT_NAME, f"the object {name!r} has the name of {other}", {"object": name}
-            )
+            text = f"the object {name!r} has the name of {other}"
+            return PlanningFailure(MoveItErrorCode.INVALID_OBJECT_NAME, text, {"object": name})
         seen.add(name)
     return None
 
@@ -94,12 +93,8 @@ def _check_links(scene: Scene, links: Collection[str]) -> PlanningFailure | None
     named += [("a scaled link", link) for link in scene.link_scale]
     for what, link in named:
         if link not in links:
-            known = ", ".join(links)
-            return PlanningFailure(
-                MoveItErrorCode.INVALID_LINK_NAME,
-                f"{what} is {link!r}, which the robot does not have; it has: {known}",
-                {"link": link},
-            )
+            text = f"{what} is {link!r}, which the robot does not have; it has: {', '.join(links)}"
+            return PlanningFailure(MoveItErrorCode.INVALID_LINK_NAME, text, {"link": link})
     return None
 
 
@@ -111,20 +106,16 @@ def _check_count(objects: Sequence[SceneObject]) -> PlanningFailure | None:
         len(shape.triangles) for scene_object in objects for shape, _ in scene_object.shapes if isinstance(shape, Mesh)
     )
     if triangles > MAX_SCENE_TRIANGLES:
-        return _refusal(
-            f"the scene's meshes have {triangles} triangles, more than {MAX_SCENE_TRIANGLES}",
-            triangles=triangles,
-            limit=MAX_SCENE_TRIANGLES,
-        )
+        text = f"the scene's meshes have {triangles} triangles, more than {MAX_SCENE_TRIANGLES}"
+        return _refusal(text, triangles=triangles, limit=MAX_SCENE_TRIANGLES)
     return None
 
 
 def _check_thickness(scene: Scene) -> PlanningFailure | None:
     for link, padding_m in scene.link_padding_m.items():
         if not 0.0 <= padding_m <= MAX_LENGTH_M:
-            return _refusal(
-                f"the padding of link {link!r} must be 0 to {MAX_LENGTH_M:g} m, not {padding_m:g}", link=link
-            )
+            text = f"the padding of link {link!r} must be 0 to {MAX_LENGTH_M:g} m, not {padding_m:g}"
+            return _refusal(text, link=link)
     for link, factor in scene.link_scale.items():
         if not (math.isfinite(factor) and factor > 0.0):
             return _refusal(f"the scale of link {link!r} must be a finite number above 0, not {factor:g}", link=link)

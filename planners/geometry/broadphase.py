@@ -98,7 +98,7 @@ class Broadphase:
         # By pair and joint: 1 for a joint that moves the second shape only, -1 for the first only.
         self._sides = second - first
         self._shapes = shapes
-        self._margins_m = np.zeros((len(shapes), len(shapes)))
+        self._margins_m = np.zeros((len(shapes), len(shapes)), order="F")  # which pinocchio reads in half the time
         # Managers and callbacks keep references to the models. Margins change for near pairs only. A check that ends
         # with the first contact leaves a result behind, so it has data of its own as well.
         self._any, self._contact, self._near = (self._geometry.createData() for _ in range(3))

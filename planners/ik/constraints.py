@@ -340,20 +340,14 @@ def _unit(vector: Sequence[float]) -> Vector:
 
 def _joint_violation(condition: JointCondition, value: float) -> Violation:
     lower, upper = condition.lower_rad, condition.upper_rad
-    return Violation(
-        f"joint {condition.joint!r} is at {value:.4g} rad, outside {lower:.4g} to {upper:.4g} rad",
-        {"joint": condition.joint, "position_rad": value, "lower_rad": lower, "upper_rad": upper},
-    )
+    text = f"joint {condition.joint!r} is at {value:.4g} rad, outside {lower:.4g} to {upper:.4g} rad"
+    return Violation(text, {"joint": condition.joint, "position_rad": value, "lower_rad": lower, "upper_rad": upper})
 
 
 def _link_violation(condition: LinkCondition, error: float, violation: float) -> Violation:
     if isinstance(condition, PointCondition):
-        return Violation(
-            f"{condition.link!r} is {100.0 * violation:.1f} cm outside its region",
-            {"link": condition.link, "distance_m": error, "beyond_m": violation},
-        )
+        text = f"{condition.link!r} is {100.0 * violation:.1f} cm outside its region"
+        return Violation(text, {"link": condition.link, "distance_m": error, "beyond_m": violation})
     turned, too_far = math.degrees(error), math.degrees(violation)
-    return Violation(
-        f"{condition.link!r} is turned by {turned:.1f}°, {too_far:.1f}° beyond its tolerance",
-        {"link": condition.link, "orientation_rad": error, "beyond_rad": violation},
-    )
+    text = f"{condition.link!r} is turned by {turned:.1f}°, {too_far:.1f}° beyond its tolerance"
+    return Violation(text, {"link": condition.link, "orientation_rad": error, "beyond_rad": violation})

@@ -72,9 +72,11 @@ class Curve:
         """Positions, velocities and accelerations, shape (m, n) each, at times from 0 to the end [ticks]."""
         i = np.searchsorted(self.ticks[1:-1], ticks, side="right")
         since_s = (TICK_S * (ticks - self.ticks[i]))[:, np.newaxis]
-        velocity, acceleration = self.velocities_rad_s[i], self.accelerations_rad_s2[i]
+        # Short rows are taken in a quarter of the time of an index.
+        position, velocity = self.positions_rad.take(i, axis=0), self.velocities_rad_s.take(i, axis=0)
+        acceleration = self.accelerations_rad_s2.take(i, axis=0)
         gained = since_s * acceleration
-        return self.positions_rad[i] + since_s * (velocity + 0.5 * gained), velocity + gained, acceleration
+        return position + since_s * (velocity + 0.5 * gained), velocity + gained, acceleration
 
     def stays_within(self, lower_rad: Vector, upper_rad: Vector) -> bool:
         """Tell whether no joint leaves its range, also at turning points between the knots."""
@@ -252,19 +254,20 @@ def _distinct(points: Vector) -> Vector:
 
 
 def least_time_s(p0: Vector, v0: Vector, p1: Vector, v1: Vector, limits: RateLimits) -> Vector:
-    """Return the slowest joint's least time from p0 to p1, (..., n), with velocities v0 and v1 there, (...) [s]."""
+    """Return the slowest joint's least time from p0 to p1, (n,) or (m, n), with velocities v0 and v1 there [s]."""
     acceleration, top = limits.acceleration_rad_s2, limits.velocity_rad_s
     change = p1 - p0
     # Going straight from one velocity to the other covers this; the rest of the way decides the cruise's direction.
     direct = 0.5 * (v0 + v1) * np.abs(v1 - v0) / acceleration
-    sign = np.where(change >= direct, 1.0, -1.0)
+    sign = np.copysign(1.0, change - direct)
     v0, v1, change = sign * v0, sign * v1, sign * change
     peak = np.sqrt(np.maximum(0.5 * (v0**2 + v1**2) + acceleration * change, 0.0))
     cruise = np.minimum(peak, top)
     # The way on the ramps up to the cruise and down from it.
     on_ramps = (cruise**2 - 0.5 * (v0**2 + v1**2)) / acceleration
     cruise_s = np.where(peak > top, (change - on_ramps) / top, 0.0)
-    return np.asarray(np.max((2.0 * cruise - v0 - v1) / acceleration + cruise_s, axis=-1))
+    # numpy is slow along a last axis of five.
+    return np.asarray(np.ascontiguousarray(((2.0 * cruise - v0 - v1) / acceleration + cruise_s).T).max(axis=0))
 
 
 def whole_ticks(time_s: Vector) -> NDArray[np.int64]:
@@ -312,13 +315,14 @@ class Ways:
 
     def _at(self, i: int | NDArray[np.intp], ticks: Vector) -> tuple[Vector, Vector]:
         """Return positions and velocities of one way at times (k, 1), or of ways at times (k, ways, 1)."""
-        v0, cruise, up, down, first = (each[i] for each in (self._v0, self._cruise, self._up, self._down, self._first))
+        rows = self._p0, self._v0, self._cruise, self._up, self._down, self._first
+        p0, v0, cruise, up, down, first = (each.take(i, axis=0) for each in rows)
         speeding = np.minimum(ticks, first)
         slowing = np.maximum(ticks - (self._ticks[i] - self._last[i]), 0.0)
         cruising = ticks - speeding - slowing
         velocities = np.where(ticks < first, v0 + up * speeding, cruise + down * slowing)
         covered = (v0 + 0.5 * up * speeding) * speeding + cruise * cruising + (cruise + 0.5 * down * slowing) * slowing
-        return self._p0[i] + TICK_S * covered, velocities
+        return p0 + TICK_S * covered, velocities
 
 
 def _cruise_velocity(change: Vector, v0: Vector, v1: Vector, time_s: Vector, acceleration: Vector) -> Vector:

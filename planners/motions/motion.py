@@ -40,6 +40,7 @@ from planners.motions.path import (
     Project,
     Query,
     TreeSearch,
+    amid_steps,
     curve_free,
     line_free_sparsely,
     via_point,
@@ -101,9 +102,9 @@ class MotionTask:
     @cached_property
     def least_s(self) -> float:
         """Return the time that the soonest goal takes where nothing is in the way; 0 without a goal [s]."""
-        rest = np.zeros_like(self.start)
-        times_s = (float(least_time_s(self.start, self.start_velocity, goal, rest, self.limits)) for goal in self.goals)
-        return min(times_s, default=0.0)
+        goals, rest = np.array(self.goals).reshape(-1, len(self.start)), np.zeros_like(self.start)
+        times_s = least_time_s(self.start, self.start_velocity, goals, rest, self.limits)
+        return float(times_s.min()) if len(goals) else 0.0
 
     @property
     def curve_start(self) -> Vector:
@@ -176,18 +177,15 @@ def _cannot_stop(task: MotionTask, lead: Curve) -> PlanningFailure | None:
     """Return the failure if a search from the stopping point is of no use, else None."""
     stop = lead.positions_rad[-1]
     if np.any((stop < task.space.lower_rad) | (stop > task.space.upper_rad)):
-        return PlanningFailure(
-            MoveItErrorCode.START_STATE_INVALID, "the arm moves too fast to stop within its joint limits"
-        )
+        text = "the arm moves too fast to stop within its joint limits"
+        return PlanningFailure(MoveItErrorCode.START_STATE_INVALID, text)
     contact = certify(task.space, lead.sampled(task.joint_names))
     if contact is None:
         return None
     pairs = [[pair.first, pair.second] for pair in contact.pairs]
-    return PlanningFailure(
-        MoveItErrorCode.START_STATE_INVALID,
-        f"the arm moves too fast to stop before it touches something after {contact.time_s:.2f} s",
-        {"time_s": contact.time_s, "colliding_pairs": pairs},
-    )
+    text = f"the arm moves too fast to stop before it touches something after {contact.time_s:.2f} s"
+    details = {"time_s": contact.time_s, "colliding_pairs": pairs}
+    return PlanningFailure(MoveItErrorCode.START_STATE_INVALID, text, details)
 
 
 class _Searching:
@@ -252,10 +250,12 @@ class _Searching:
         self._round_end = self._space.checks + CHECKS_A_ROUND if has_motion else np.inf
         self._last_check = self._last_check if has_motion else np.inf
         while len(found) < searches and not self._enough():
+            began = self._space.checks
             method, path = self._path(next(self._number))
             step_m = CURVE_STEPS[self._finer] * float(self._space.travel_m_per_rad.max())
             if path is None or not self._holds(path, step_m):
                 continue
+            effort = self._space.checks - began
             curve = polyline(path, self._task.limits, self._task.window)
             curve = curve if self._lead is None else self._lead.then(curve)
             if np.isinf(self._round_end):
@@ -264,8 +264,9 @@ class _Searching:
             along = partial(curve_free, self._space, step_m=step_m, should_stop=self._budget.used_up)
             stages = smooth(curve, self._task.limits, self._space.free, along, self._rng, self._enough)
             found.append((method, stages))
-            # Obstacles cost it hardly any time.
-            if TICK_S * (stages[-1].duration_ticks - LEAST_GAIN_TICKS) < self._task.least_s:
+            # Obstacles cost it hardly any time, or no other path is found in the checks that are left.
+            quickest = TICK_S * (stages[-1].duration_ticks - LEAST_GAIN_TICKS) < self._task.least_s
+            if quickest or self._last_check - self._space.checks < effort:
                 self._last_check = self._space.checks
         return found
 
@@ -284,9 +285,10 @@ class _Searching:
         return self._name, path
 
     def _holds(self, path: Vector, step_m: float) -> bool:
-        """Return true if a path is free at half the search's steps, where curves have shorter ones; else refine."""
-        half_m = 0.5 * SEARCH_STEPS_M[self._finer]
-        free = half_m <= step_m or all(line_free_sparsely(self._space, *ends, half_m) for ends in pairwise(path))
+        """Return true if a path is free amid the search's steps too, where curves have shorter ones; else refine."""
+        search_m = SEARCH_STEPS_M[self._finer]
+        edges = () if 0.5 * search_m <= step_m else pairwise(path)
+        free = all(self._space.free(point) for edge in edges for point in amid_steps(self._space, *edge, search_m))
         self._finer = min(self._finer + (not free), len(SEARCH_STEPS_M) - 1)
         return free
 

@@ -27,7 +27,7 @@ from robot.trajectory import Vector
 # Checks a second on the machine that the optimisation time is meant for, all that goes with them included.
 NOMINAL_CHECKS_PER_S = 30_000
 
-CURVE_SAMPLES = 64  # points between which the travel of a curve is measured
+CURVE_SHARES = np.linspace(0.0, 1.0, 65)  # shares of a curve's time between which its travel is measured
 CHECKS_A_POLL = 16  # checks of a curve between two polls for a cancel, which take a quarter of a check in a worker
 
 # No point of the arm travels further along a tree edge [m]. Longer edges mean fewer nodes and fewer checks until a path
@@ -46,7 +46,7 @@ STEP_RAD = 0.15
 
 LEAST_PROGRESS = 0.2  # a step that has been brought back to less than this share of its length leads nowhere new
 STEPS_AT_ONCE = 20  # trees that reach out further at once are caught in corners
-DRAWN = 64  # points drawn at once
+DRAWN, LEAST = 64, 1e-12  # points drawn at once, and the least square of a distance, which may be below 0 by rounding
 COMPARED = 16_384  # distances to a tree computed at once: all of them at once took up to 3 ms, out of the cache
 DOMAIN_EDGES = 4.0  # edges from a blocked point within which it is still gone on from
 VIA_POINTS = 1024  # via points drawn at once, and compared in one numpy call
@@ -71,14 +71,19 @@ def line_free_sparsely(space: JointSpace, start: Vector, end: Vector, step_m: fl
     return all(map(space.free, start + shares * (end - start)))
 
 
+def amid_steps(space: JointSpace, start: Vector, end: Vector, step_m: float) -> Vector:
+    """Return points half-way between the points of :func:`line_free_sparsely`, shape (m, n) [rad]."""
+    shares = coarse_first(max(1, math.ceil(np.abs(end - start) @ space.travel_m_per_rad / step_m)))
+    return start + (shares - 0.5 / len(shares)) * (end - start)
+
+
 def curve_free(space: JointSpace, curve: Curve, step_m: float, should_stop: Callable[[], bool] = never) -> bool:
     """Return true if joints stay in range and nothing touches at steps along a curve; its ends are taken to be free."""
     if not curve.stays_within(space.lower_rad, space.upper_rad):
         return False
-    ticks = np.linspace(0.0, curve.duration_ticks, CURVE_SAMPLES + 1)
+    ticks, travel_m = curve.duration_ticks * CURVE_SHARES, np.zeros_like(CURVE_SHARES)
     samples = curve.at(ticks)[0]
-    moved_m = np.abs(np.diff(samples, axis=0)) @ space.travel_m_per_rad
-    travel_m = np.concatenate(([0.0], np.cumsum(moved_m)))
+    (np.abs(samples[1:] - samples[:-1]) @ space.travel_m_per_rad).cumsum(out=travel_m[1:])
     shares = coarse_first(max(1, math.ceil(travel_m[-1] / step_m)))[1:, 0]
     points = curve.at(np.interp(travel_m[-1] * shares, travel_m, ticks))[0]
     return all((i % CHECKS_A_POLL or not should_stop()) and space.free(point) for i, point in enumerate(points))
@@ -185,9 +190,9 @@ class ConnectSearch:
         while not should_stop():
             # The smaller tree grows: it is in the narrower place.
             tree, other = sorted(self._trees, key=lambda each: len(each.points))
-            drawn = self._rng.uniform(space.lower_rad, space.upper_rad, (DRAWN, len(space.lower_rad)))
-            for index, point in tree.near(drawn):
-                here = grower.grow(tree, index, point, STEPS_AT_ONCE if self._project else 1)
+            drawn = _drawn(space, self._rng, DRAWN)
+            for index, point in tree.near(drawn, grower.edge):
+                here = grower.grow(tree, index, point) if self._project else grower.reach(tree, index, point)
                 if here == index:
                     continue
                 there = grower.grow(other, other.nearest(tree.points[here]), tree.points[here])
@@ -232,16 +237,18 @@ class _Tree:
     def nearest(self, point: Vector) -> int:
         return int(np.argmin(self._squares(point[np.newaxis])))
 
-    def near(self, drawn: Vector) -> Iterator[tuple[int, Vector]]:
-        """Yield the drawn points, shape (m, n), that are within reach of the tree's nearest point, and its index."""
+    def near(self, drawn: Vector, edge: float) -> Iterator[tuple[int, Vector]]:
+        """Yield, of the drawn points, (m, n), within reach of the tree, the nearest one's index and an edge from it."""
         own, count = np.sum((drawn * self._weights) ** 2, axis=1), max(8, COMPARED // len(self._parents))
         for first in range(0, len(drawn), count):
             some = slice(first, first + count)
             squares = self._squares(drawn[some])
-            away = (squares.min(axis=1) + own[some]).tolist()
-            for index, square, point in zip(squares.argmin(axis=1).tolist(), away, drawn[some], strict=True):
-                if square <= self.reach[index] ** 2:
-                    yield index, point
+            nearest, away = squares.argmin(axis=1), np.sqrt(np.maximum(squares.min(axis=1) + own[some], LEAST))
+            points = self.points[nearest]
+            ends = points + np.minimum(1.0, edge / away)[:, np.newaxis] * (drawn[some] - points)
+            for index, distance, end in zip(nearest.tolist(), away.tolist(), ends, strict=True):
+                if distance <= self.reach[index]:
+                    yield index, end
 
     def add(self, point: Vector, parent: int) -> int:
         index, weighted = len(self._parents), point * self._weights
@@ -271,12 +278,19 @@ class _Grower:
         self._project = project
         self._should_stop = should_stop
         # No point of the robot travels further than a weighted distance times the length of the weights.
-        self._edge = TREE_EDGE_M / float(np.linalg.norm(query.weights))
-        self._domain = DOMAIN_EDGES * self._edge if project is None else np.inf
+        edge = TREE_EDGE_M / float(np.linalg.norm(query.weights))
+        self.edge, self._domain = (edge, DOMAIN_EDGES * edge) if project is None else (np.inf, np.inf)
 
-    def grow(self, tree: _Tree, index: int, target: Vector, steps: int = STEPS_AT_ONCE) -> int:
+    def reach(self, tree: _Tree, index: int, point: Vector) -> int:
+        """Go from a point of a tree to another one; the index of the last point."""
+        if line_free_sparsely(self._query.space, tree.points[index], point, self._query.step_m):
+            return tree.add(point, index)
+        tree.reach[index] = self._domain
+        return index
+
+    def grow(self, tree: _Tree, index: int, target: Vector) -> int:
         """Step from a point of a tree towards a target as far as it goes; the index of the last point."""
-        for taken in range(steps):
+        for taken in range(STEPS_AT_ONCE):
             point = tree.points[index]
             if taken and self._should_stop():  # before the first step the caller asks, once for many
                 break
@@ -293,7 +307,7 @@ class _Grower:
         way = target - point
         weighted = way * self._query.weights
         length = math.sqrt(weighted @ weighted)
-        reached = target if length <= self._edge else point + way * (self._edge / length)
+        reached = target if length <= self.edge else point + way * (self.edge / length)
         return reached if line_free_sparsely(self._query.space, point, reached, self._query.step_m) else None
 
     def _step(self, point: Vector, target: Vector, project: Project) -> Vector | None:
@@ -319,10 +333,11 @@ def via_point(
     shortening keeps it on that side; of via points drawn at random, those come first that hardly take longer than no
     obstacle would.
     """
-    space, goals = query.space, np.array(query.goals)
-    points = rng.uniform(space.lower_rad, space.upper_rad, (VIA_POINTS, len(query.start)))
-    times_s = _times_s(points, query.start[np.newaxis], velocity_rad_s) + _times_s(points, goals, velocity_rad_s)
-    most, times_s = space.checks + MOST_CHECKS, times_s.ravel()
+    space, goals, points = query.space, query.goals, _drawn(query.space, rng, VIA_POINTS)
+    # numpy is slow with a last axis of five, and with arrays that do not fit into the cache.
+    by_joint, tops, ends = np.ascontiguousarray(points.T), velocity_rad_s[:, np.newaxis], (query.start, *goals)
+    from_start_s, *to_goals_s = ((np.abs(by_joint - end[:, np.newaxis]) / tops).max(axis=0) for end in ends)
+    most, times_s = space.checks + MOST_CHECKS, (np.array(to_goals_s) + from_start_s).ravel()
     # Each try is a check at least, so hardly any is needed; sorting all of them took longer than the checks.
     few = np.flatnonzero(times_s <= np.partition(times_s, MOST_CHECKS - 1)[MOST_CHECKS - 1])
     for index in few[np.argsort(times_s[few], kind="stable")].tolist():
@@ -335,8 +350,7 @@ def via_point(
     return None
 
 
-def _times_s(points: Vector, others: Vector, velocity_rad_s: Vector) -> Vector:
-    """Return how long the slowest joint takes between each two of some points, shape (others, points) [s]."""
-    # numpy is slow with a last axis of five.
-    moved_rad = np.abs(points.T[:, np.newaxis] - others.T[:, :, np.newaxis])
-    return np.asarray(np.max(moved_rad / velocity_rad_s[:, np.newaxis, np.newaxis], axis=0))
+def _drawn(space: JointSpace, rng: np.random.Generator, count: int) -> Vector:
+    """Draw points within the limits, shape (count, n): as `uniform` does, which takes twice as long."""
+    shares = rng.random((count, len(space.lower_rad)))
+    return np.asarray(space.lower_rad + (space.upper_rad - space.lower_rad) * shares)

@@ -146,6 +146,20 @@ def test_a_motion_that_takes_the_least_time_is_shortened_no_further(task_between
     assert found(task).trajectory.duration_s == pytest.approx(task.least_s, abs=0.005)
 
 
+def test_no_other_path_is_searched_for_in_fewer_checks_than_the_last_one_took(monkeypatch, task_over_a_wall):
+    task, begun = task_over_a_wall(), []
+
+    def as_found(curve, *_):
+        begun.append(task.space.checks)
+        return [curve]
+
+    monkeypatch.setattr(motion, "smooth", as_found)
+    before, alone = task.space.checks, work(task)
+    path_s = (begun[0] - before) / NOMINAL_CHECKS_PER_S
+    assert work(replace(task, optimization_time_s=0.5 * path_s)) == alone
+    assert work(replace(task, optimization_time_s=3.0 * path_s)) > alone
+
+
 def test_where_the_shortest_motion_touches_between_two_checks_its_earlier_parts_stay(monkeypatch, task_over_a_wall):
     task, certified = task_over_a_wall(attempts=1), []
 

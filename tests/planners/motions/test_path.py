@@ -160,6 +160,20 @@ class WalledRoom(Walled):
 WEST, MIDDLE, EAST = np.array([[-0.8, 0.0], [0.1, 0.0], [0.8, 0.0]])
 
 
+def test_points_amid_steps_halve_the_steps_that_a_search_checks():
+    checked = []
+
+    class Recorded(Walled):
+        def free(self, point):
+            checked.append(point[0])
+            return True
+
+    space = Recorded()
+    assert paths.line_free_sparsely(space, WEST, EAST, 0.11)
+    between = paths.amid_steps(space, WEST, EAST, 0.11)[:, 0]
+    np.testing.assert_allclose(sorted([*checked, *between]), np.linspace(-0.8, 0.8, 31)[1:])
+
+
 def test_a_narrow_gap_takes_fewer_checks_where_blocked_points_only_go_to_points_nearby(monkeypatch):
     monkeypatch.setattr(paths, "TREE_EDGE_M", 0.6)
     start, goal = (np.append(point, np.zeros(4)) for point in (WEST, EAST))

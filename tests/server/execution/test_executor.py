@@ -5,6 +5,7 @@ import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeAlias, cast
+from unittest.mock import AsyncMock
 
 import numpy as np
 import pytest
@@ -662,35 +663,30 @@ async def test_a_given_trajectory_that_came_too_late_is_sent_again_three_times(s
     assert len(trajectory.begins_s) == refusals + 1
 
 
-# Planning takes too long, there is no plan, the arm has left the place, or it goes back.
-OBSTACLES: list[Callable[[Stage], object]] = [
-    lambda stage: stage.planners_answer.clear(),
-    lambda stage: stage.failures.append(NO_WAY),
-    lambda stage: setattr(stage.arm, "refusing", True),
-    lambda stage: setattr(stage.executor._outgoing, "path_time", PathTime(0.0, 0.0, 0.0)),
+# Planning takes too long, there is no plan, the arm has left the place, it goes back, or another motion is in progress;
+# or the goal is a sequence, in a scene of its own, or one that people confirm.
+OBSTACLES: list[tuple[Callable[[Stage], object], dict[str, Any]]] = [
+    (lambda stage: stage.planners_answer.clear(), {}),
+    (lambda stage: stage.failures.append(NO_WAY), {}),
+    (lambda stage: setattr(stage.arm, "refusing", True), {}),
+    (lambda stage: setattr(stage.executor._outgoing, "path_time", PathTime(0.0, 0.0, 0.0)), {}),
+    (lambda stage: beside(stage), {}),
+    (lambda _stage: None, {"steps": 2 * to(shoulder_pan=-0.2).steps}),
+    (lambda _stage: None, {"scene": lambda _: Scene(7)}),
+    (
+        lambda stage: setattr(stage.executor._context.confirmation, "wait", AsyncMock(return_value=None)),
+        {"confirm": True},
+    ),
 ]
 
 
-# A sequence, a goal in a scene of its own, one that people confirm, and one beside a motion that it may touch.
-@pytest.mark.parametrize(
-    "changes", [{"steps": 2 * to(shoulder_pan=-0.2).steps}, {"scene": lambda _: Scene(7)}, {"confirm": True}, {}]
-)
-async def test_a_goal_that_cannot_be_checked_or_shown_in_time_replaces_no_motion(
-    stage: Stage, changes: dict[str, Any]
+@pytest.mark.parametrize(("obstacle", "changes"), OBSTACLES)
+async def test_the_arm_brakes_for_a_motion_it_cannot_blend(
+    stage: Stage, obstacle: Callable[[Stage], object], changes: dict[str, Any]
 ) -> None:
     await under_way(stage)
-    if not changes:
-        beside(stage)
-    await stage.begin(replace(to(shoulder_pan=-0.2), **changes))
-    assert stage.arm.stops
-    assert stage.arm.continued == []
-
-
-@pytest.mark.parametrize("obstacle", OBSTACLES)
-async def test_the_arm_brakes_for_a_motion_it_cannot_blend(stage: Stage, obstacle: Callable[[Stage], object]) -> None:
-    await under_way(stage)
     obstacle(stage)
-    await stage.begin(to(shoulder_pan=-0.2))
+    await stage.begin(replace(to(shoulder_pan=-0.2), **changes))
     await until(lambda: stage.arm.stops)
     stage.planners_answer.set()
     await until(lambda: stage.arm.state.mode is Mode.MOVING)

@@ -229,11 +229,12 @@ def test_senseless_goals_and_unknown_links_are_refused_with_names_and_values(rob
     assert refusal(checks.check_goal, robot, arm, AnyOf((POINT,) * 64)) is None
     # A joint may exceed its limit by rounding only.
     joint = robot.joints["elbow_flex"]
-    near, far = (JointGoal({"elbow_flex": joint.upper + more}, tolerance_rad=0.01) for more in (0.009, 0.011))
-    assert refusal(checks.check_goal, robot, arm, near) is None
     limits = {"lower_rad": joint.lower, "upper_rad": joint.upper}
-    failure = refusal(checks.check_goal, robot, arm, far)
-    assert failure.details == {"joint": "elbow_flex", "position_rad": joint.upper + 0.011, **limits}
+    for limit, way in ((joint.upper, 1.0), (joint.lower, -1.0)):
+        near, far = (JointGoal({"elbow_flex": limit + way * more}, tolerance_rad=0.01) for more in (0.009, 0.011))
+        assert refusal(checks.check_goal, robot, arm, near) is None
+        failure = refusal(checks.check_goal, robot, arm, far)
+        assert failure.details == {"joint": "elbow_flex", "position_rad": limit + way * 0.011, **limits}
 
 
 def test_senseless_constraints_are_refused_with_names_and_values(robot):

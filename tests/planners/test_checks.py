@@ -123,6 +123,7 @@ def test_senseless_requests_are_refused_with_names_and_values_and_sound_ones_pas
         ({"velocity_scaling": 0.0}, INVALID, ["velocity scaling", "0"]),
         ({"velocity_scaling": 1.5}, INVALID, ["velocity scaling", "1.5"]),
         ({"acceleration_scaling": NAN}, INVALID, ["acceleration scaling", "nan"]),
+        ({"acceleration_scaling": -0.5}, INVALID, ["acceleration scaling", "-0.5"]),
         ({"allowed_time_s": -1.0}, INVALID, ["allowed planning time", "-1"]),
         ({"allowed_time_s": math.inf}, INVALID, ["allowed planning time", "inf"]),
         ({"optimization_time_s": -1.0}, INVALID, ["optimization time", "-1"]),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from planners import checks, goals
-from planners.checks import MAX_ALTERNATIVES, START_CONTACT_DEPTH_M, START_LIMIT_TOLERANCE_RAD
+from planners.checks import START_CONTACT_DEPTH_M, START_LIMIT_TOLERANCE_RAD
 from planners.geometry.collision import CollidingPair
 from planners.goals import AnyOf, ConstraintGoal, Constraints, JointGoal
 from planners.ik.kinematics import MAX_POINTS
@@ -115,18 +115,22 @@ def assert_refused(failure, code, said):
 
 
 def test_senseless_requests_are_refused_with_names_and_values_and_sound_ones_pass(robot, problem):
-    assert refused(robot, problem) is None
-    assert refused(robot, problem, goal=POINT) is None
+    least, most = ({"attempts": each, "optimization_time_s": time_s} for each, time_s in ((1, 0.0), (1000, 3600.0)))
+    for changes in ({}, {"goal": POINT}, least, most):
+        assert refused(robot, problem, **changes) is None
     for changes, code, said in (
         ({"group": "leg"}, NO_GROUP, ["leg", "arm", "gripper"]),
         ({"velocity_scaling": 0.0}, INVALID, ["velocity scaling", "0"]),
         ({"velocity_scaling": 1.5}, INVALID, ["velocity scaling", "1.5"]),
         ({"acceleration_scaling": NAN}, INVALID, ["acceleration scaling", "nan"]),
+        ({"acceleration_scaling": -0.5}, INVALID, ["acceleration scaling", "-0.5"]),
         ({"allowed_time_s": -1.0}, INVALID, ["allowed planning time", "-1"]),
         ({"allowed_time_s": math.inf}, INVALID, ["allowed planning time", "inf"]),
         ({"optimization_time_s": -1.0}, INVALID, ["optimization time", "-1"]),
         ({"optimization_time_s": NAN}, INVALID, ["optimization time", "nan"]),
+        ({"optimization_time_s": 3600.5}, INVALID, ["optimization time", "0 to 3600", "3600.5"]),
         ({"attempts": 0}, INVALID, ["attempts", "0"]),
+        ({"attempts": 1001}, INVALID, ["attempts", "1 to 1000", "1001"]),
         ({"planner_id": "AORRTC"}, INVALID, ["'AORRTC'", "RRTConnect"]),
         ({"start_velocity_rad_s": {"elbow": 0.1}}, INVALID_START, ["'elbow'", "'arm'"]),
         ({"start_velocity_rad_s": {"elbow_flex": NAN}}, INVALID_START, ["elbow_flex", "nan"]),
@@ -157,6 +161,7 @@ def test_a_start_may_be_a_little_beyond_limits_in_shallow_contact_and_as_fast_as
     words = ["shoulder_link and wrist_link by 11.0 mm"]
     assert_refused(failure, MoveItErrorCode.START_STATE_IN_COLLISION, words)
     assert len(failure.details["pairs"]) == 2
+    assert len(refusal(checks.check_start_contact, [deep] * 101).details["pairs"]) == 100
     limit = robot.joints["elbow_flex"].max_velocity
     half = {"start_velocity_rad_s": {"elbow_flex": -0.5 * limit}}
     assert refused(robot, problem, velocity_scaling=0.5, **half) is None
@@ -212,8 +217,8 @@ def test_senseless_goals_and_unknown_links_are_refused_with_names_and_values(rob
         (replace(POSE, orientation_tolerance_rad=(0.1, -0.1, 0.1)), ["orientation tolerance", "-0.1"]),
         (ConstraintGoal(Constraints()), ["no constraint"]),
         (ConstraintGoal(joint_range(position_rad=NAN)), ["elbow_flex", "nan"]),
-        (AnyOf(()), ["0", str(MAX_ALTERNATIVES)]),
-        (AnyOf((POINT,) * (MAX_ALTERNATIVES + 1)), [str(MAX_ALTERNATIVES + 1)]),
+        (AnyOf(()), ["1 to 64 alternatives, not 0"]),
+        (AnyOf((POINT,) * 65), ["1 to 64 alternatives, not 65"]),
         (AnyOf((POINT, JointGoal({"elbow_flex": NAN}))), ["elbow_flex"]),
     ):
         assert_refused(refusal(checks.check_goal, robot, arm, goal), INVALID, said)
@@ -223,13 +228,15 @@ def test_senseless_goals_and_unknown_links_are_refused_with_names_and_values(rob
         assert_refused(failure, NO_LINK, [TIP])
         # A group whose joints are not one chain has no tip.
         assert ("not one chain" in failure.message) == (not failure.details["link"])
+    assert refusal(checks.check_goal, robot, arm, AnyOf((POINT,) * 64)) is None
     # A joint may exceed its limit by rounding only.
     joint = robot.joints["elbow_flex"]
-    near, far = (JointGoal({"elbow_flex": joint.upper + more}, tolerance_rad=0.01) for more in (0.009, 0.011))
-    assert refusal(checks.check_goal, robot, arm, near) is None
     limits = {"lower_rad": joint.lower, "upper_rad": joint.upper}
-    failure = refusal(checks.check_goal, robot, arm, far)
-    assert failure.details == {"joint": "elbow_flex", "position_rad": joint.upper + 0.011, **limits}
+    for limit, way in ((joint.upper, 1.0), (joint.lower, -1.0)):
+        near, far = (JointGoal({"elbow_flex": limit + way * more}, tolerance_rad=0.01) for more in (0.009, 0.011))
+        assert refusal(checks.check_goal, robot, arm, near) is None
+        failure = refusal(checks.check_goal, robot, arm, far)
+        assert failure.details == {"joint": "elbow_flex", "position_rad": limit + way * 0.011, **limits}
 
 
 def test_senseless_constraints_are_refused_with_names_and_values(robot):
@@ -237,7 +244,7 @@ def test_senseless_constraints_are_refused_with_names_and_values(robot):
         (joint_range(joint="elbow"), ["'elbow'", "elbow_flex"]),
         (joint_range(above_rad=-0.1), ["elbow_flex", "-0.1"]),
         (joint_range(below_rad=NAN), ["elbow_flex", "nan"]),
-        (joint_range(position_rad=2.0), ["elbow_flex", "-1.69 to 1.69"]),
+        *((joint_range(position_rad=each), ["elbow_flex", "-1.69 to 1.69"]) for each in (-2.0, 2.0)),
         (joint_range(weight=-1.0), ["weight", "-1"]),
         (Constraints(joints=(JOINT_RANGE, replace(JOINT_RANGE, position_rad=1.0))), ["no position"]),
         (region(radius_m=None), ["either a box or a sphere"]),
@@ -246,8 +253,12 @@ def test_senseless_constraints_are_refused_with_names_and_values(robot):
         (region(region=Pose((0, 0, 0), (0.0, 0.0, 0.0, 0.0))), ["length 0"]),
         (region(offset_m=(0, 0, NAN)), ["offset", "nan"]),
         (Constraints(positions=(REGION,) * (MAX_POINTS + 1)), [str(MAX_POINTS)]),
+        (Constraints(joints=(JOINT_RANGE,) * 65), ["64 constraints, not 65"]),
         (orientation(orientation=(0.0, 0.0, 0.0, 0.5)), ["length 0.5"]),
         (orientation(tolerance_rad=(0.1, 0.1, 0.0)), ["orientation tolerance", "not 0"]),
         (orientation(weight=NAN), ["weight", "nan"]),
     ):
         assert_refused(refusal(checks.check_constraints, robot, constraints), INVALID, said)
+    reaching = (joint_range(position_rad=each, above_rad=0.4, below_rad=0.4) for each in (-2.0, 2.0))
+    for constraints in (Constraints(joints=(JOINT_RANGE,) * 64), joint_range(weight=0.0), *reaching):
+        assert refusal(checks.check_constraints, robot, constraints) is None

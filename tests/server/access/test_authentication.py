@@ -117,7 +117,9 @@ def test_an_address_that_guesses_ten_tokens_is_blocked_for_a_minute_and_told_for
     clock.now_s += 50.0
     sentence = "10 wrong tokens came from this address, the limit is 10; try again in 10 s"
     assert (made.refusal(GUESSER), made.wait_s(GUESSER)) == ((None, 0.0) if count == 9 else (sentence, 10.0))
-    clock.now_s += 10.0
+    clock.now_s += 9.5
+    assert (made.refusal(GUESSER) is None) is (count == 9)
+    clock.now_s += 0.5
     assert (made.refusal(GUESSER), made.wait_s(GUESSER)) == (None, 0.0)
 
 

@@ -4,6 +4,7 @@ import gc
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeAlias, cast
+from unittest.mock import AsyncMock
 
 import numpy as np
 import pytest
@@ -32,6 +33,8 @@ from server.execution.executor import ExecutionContext, GoalExecutor
 from server.execution.goal import ExecutionDeadline, Goal, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.monitors import CurrentScene, CurrentState
 from server.execution.motions import (
+    OUTGOING_S,
+    SENDING_S,
     STATE_AGE_S,
     TICK_LATE_S,
     ExternalTrajectory,
@@ -80,7 +83,7 @@ class Stage(CurrentScene):
         self.contact: PlanningFailure | None = None
         self.late: PlanningFailure | None = None
         self.meeting: PlanningFailure | None = None
-        self.recheck_s = 0.0
+        self.recheck_s, self.plan_s = 0.0, 1.0
         self.problems: list[PlanningProblem] = []
         self.scenes: list[int] = []
         self.rechecked: list[RecheckQuestion] = []
@@ -120,7 +123,7 @@ class Stage(CurrentScene):
         ends = {**request.start_rad, **request.goal.positions_rad}
         moves = {name: (request.start_rad[name], ends[name]) for name in ARM}
         moved = any(start_rad != end_rad for start_rad, end_rad in moves.values())
-        return Plan(smooth_move(moves, 1.0) if moved else STILL, "straight line", 0.01)
+        return Plan(smooth_move(moves, self.plan_s) if moved else STILL, "straight line", 0.01)
 
     async def begin(self, motion: Motion, limits: TimeLimits | None = None) -> None:
         self.goal = Goal(
@@ -332,15 +335,15 @@ async def test_a_contact_on_the_way_stops_the_motion_with_its_code_and_details()
     assert answer.message == "would touch the wall; stopped half-way"
 
 
-@pytest.mark.parametrize(("direction", "from_s"), [(PlaybackDirection.FORWARD, 0.25), (PlaybackDirection.BACK, 0.0)])
+@pytest.mark.parametrize(("direction", "from_s"), [(PlaybackDirection.FORWARD, 0.5), (PlaybackDirection.BACK, 0.0)])
 async def test_the_scene_monitor_asks_about_the_rest_of_the_motion_and_on_the_way_back_about_all(
     stage: Stage, direction: PlaybackDirection, from_s: float
 ) -> None:
-    await stage.begin(to(shoulder_pan=0.4))
+    await stage.begin(given(0.0, 0.4))
     stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(direction=direction))
     stage.contact = WALL
     await stage.change(2)
-    assert stage.rechecked[0].from_s == from_s
+    assert [question.from_s for question in stage.rechecked] == [0.0, from_s]
 
 
 async def test_changes_during_a_check_are_checked_together(stage: Stage) -> None:
@@ -375,12 +378,15 @@ async def test_a_scene_that_changed_during_the_check_before_the_motion_is_checke
     assert stage.checked_in == [2, 3]
 
 
-async def test_planners_that_are_silent_for_longer_than_the_arm_may_be_stop_the_motion(stage: Stage) -> None:
+@pytest.mark.parametrize(("code", "asked"), [(MoveItErrorCode.TIMED_OUT, 2), (MoveItErrorCode.FAILURE, 1)])
+async def test_planners_that_fail_or_are_silent_for_longer_than_the_arm_may_be_stop_the_motion(
+    stage: Stage, code: MoveItErrorCode, asked: int
+) -> None:
     await stage.begin(to(shoulder_pan=0.4))
-    stage.late, stage.recheck_s = PlanningFailure(MoveItErrorCode.TIMED_OUT, "late"), 0.6 * stage.arm.state_max_age_s
+    stage.late, stage.recheck_s = PlanningFailure(code, "no answer"), 0.6 * stage.arm.state_max_age_s
     await stage.change(2)
     assert (await stage.answer()).code is MoveItErrorCode.COLLISION_CHECKING_UNAVAILABLE
-    assert stage.checked_in == [2, 2]
+    assert stage.checked_in == asked * [2]
 
 
 class WornDeadline(ExecutionDeadline):
@@ -512,6 +518,7 @@ async def test_an_outgoing_motion_is_braked_when_none_replaces_it(stage: Stage) 
 async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop_and_is_checked_after_a_change(
     stage: Stage, *, changed: bool
 ) -> None:
+    stage.plan_s = 2.0
     await under_way(stage)
     stage.scene = Scene(1 + changed)
     await stage.begin(to(shoulder_pan=-0.2))
@@ -520,6 +527,7 @@ async def test_a_goal_replaces_the_motion_of_the_preempted_goal_without_a_stop_a
     assert stage.arm.stops == []
     former, whole = stage.arm.played
     from_s = stage.arm.continued[0]
+    assert from_s == pytest.approx(0.5 * stage.plan_s - STATE_AGE_S)
     np.testing.assert_allclose(whole.sample(0.1)[0], former.sample(from_s + 0.1)[0], atol=1e-9)
     assert stage.problems[-1].start_velocity_rad_s["shoulder_pan"] > 0.0
     assert answer.performed.planned == (whole,)
@@ -532,14 +540,6 @@ async def test_a_goal_that_is_replaced_before_it_begins_leaves_the_motion_on_its
     answer = await stage.executor.run(goal)
     assert (answer.code, answer.message) == (MoveItErrorCode.PREEMPTED, "preempted by goal 3 before the motion began")
     assert stage.arm.stops == []
-
-
-async def test_a_goal_whose_motion_takes_too_long_replaces_no_motion(stage: Stage) -> None:
-    await under_way(stage)
-    await stage.begin(to(shoulder_pan=-0.2), TimeLimits(trajectory_s=0.9))
-    assert "longer than goals.max_trajectory_duration_s = 0.9" in (await stage.answer()).message
-    assert len(stage.arm.played) == 1
-    assert len(stage.arm.stops) >= 1
 
 
 class Given:
@@ -556,9 +556,27 @@ class Given:
         return smooth_move({name: (held_rad[name], held_rad[name] + 0.1) for name in ARM}, 1.0)
 
 
-@pytest.mark.parametrize("spliced", [True, False])
-async def test_a_given_trajectory_replaces_the_motion_unless_it_begins_at_rest(stage: Stage, *, spliced: bool) -> None:
+@pytest.mark.parametrize("motion", [to(shoulder_pan=-0.2), ExternalTrajectory(Given(), frozenset(ARM))])
+async def test_a_goal_whose_motion_takes_too_long_replaces_no_motion_and_the_arm_brakes(
+    stage: Stage, motion: Motion
+) -> None:
     await under_way(stage)
+    await stage.begin(motion, TimeLimits(trajectory_s=0.9))
+    assert "longer than goals.max_trajectory_duration_s = 0.9" in (await stage.answer()).message
+    assert len(stage.arm.played) == 1
+    assert len(stage.arm.stops) >= 1
+
+
+# The third comes shortly before the arm would brake.
+@pytest.mark.parametrize(
+    ("waited_s", "spliced", "ahead_s"),
+    [(0.0, True, 0.1305), (0.0, False, 0.0), (0.4, True, OUTGOING_S - SENDING_S - 0.4)],
+)
+async def test_a_given_trajectory_replaces_the_motion_unless_it_begins_at_rest(
+    stage: Stage, waited_s: float, spliced: bool, ahead_s: float
+) -> None:
+    await under_way(stage)
+    stage.pass_time(waited_s)
     trajectory, asked_s = Given(), stage.clock()
     await stage.begin(ExternalTrajectory(trajectory, frozenset(ARM), spliced=spliced))
     await until(lambda: len(stage.arm.played) == 2)
@@ -566,7 +584,7 @@ async def test_a_given_trajectory_replaces_the_motion_unless_it_begins_at_rest(s
     assert (stage.arm.stops == []) is spliced
     assert len(stage.arm.continued) == int(spliced)
     # Nothing is known yet of how long a check takes.
-    assert trajectory.begins_s == pytest.approx([asked_s + 0.1305 * spliced])
+    assert trajectory.begins_s == pytest.approx([asked_s + ahead_s])
     assert len(stage.rechecked) == 1
 
 
@@ -634,20 +652,30 @@ async def test_a_given_trajectory_that_came_too_late_is_sent_again_three_times(s
     assert len(trajectory.begins_s) == refusals + 1
 
 
-# Planning takes too long, there is no plan, the arm has left the place, or it goes back.
-OBSTACLES: list[Callable[[Stage], object]] = [
-    lambda stage: stage.planners_answer.clear(),
-    lambda stage: stage.failures.append(NO_WAY),
-    lambda stage: setattr(stage.arm, "refusing", True),
-    lambda stage: setattr(stage.executor._outgoing, "path_time", PathTime(0.0, 0.0, 0.0)),
+# Planning takes too long, there is no plan, the arm has left the place, it goes back, or another motion is in progress;
+# or the goal is a sequence, in a scene of its own, or one that people confirm.
+OBSTACLES: list[tuple[Callable[[Stage], object], dict[str, Any]]] = [
+    (lambda stage: stage.planners_answer.clear(), {}),
+    (lambda stage: stage.failures.append(NO_WAY), {}),
+    (lambda stage: setattr(stage.arm, "refusing", True), {}),
+    (lambda stage: setattr(stage.executor._outgoing, "path_time", PathTime(0.0, 0.0, 0.0)), {}),
+    (lambda stage: beside(stage), {}),
+    (lambda _stage: None, {"steps": 2 * to(shoulder_pan=-0.2).steps}),
+    (lambda _stage: None, {"scene": lambda _: Scene(7)}),
+    (
+        lambda stage: setattr(stage.executor._context.confirmation, "wait", AsyncMock(return_value=None)),
+        {"confirm": True},
+    ),
 ]
 
 
-@pytest.mark.parametrize("obstacle", OBSTACLES)
-async def test_the_arm_brakes_for_a_motion_it_cannot_blend(stage: Stage, obstacle: Callable[[Stage], object]) -> None:
+@pytest.mark.parametrize(("obstacle", "changes"), OBSTACLES)
+async def test_the_arm_brakes_for_a_motion_it_cannot_blend(
+    stage: Stage, obstacle: Callable[[Stage], object], changes: dict[str, Any]
+) -> None:
     await under_way(stage)
     obstacle(stage)
-    await stage.begin(to(shoulder_pan=-0.2))
+    await stage.begin(replace(to(shoulder_pan=-0.2), **changes))
     await until(lambda: stage.arm.stops)
     stage.planners_answer.set()
     await until(lambda: stage.arm.state.mode is Mode.MOVING)
@@ -712,10 +740,11 @@ async def test_a_goal_that_waits_for_a_motion_can_be_cancelled(stage: Stage) -> 
     assert stage.arm.played == []
 
 
-async def test_the_monitor_asks_about_motions_beside_as_well(stage: Stage) -> None:
+@pytest.mark.parametrize("found_by", ["contact", "meeting"])
+async def test_the_monitor_asks_about_motions_beside_as_well(stage: Stage, found_by: str) -> None:
     await stage.begin(to(shoulder_pan=0.4))
     beside(stage)
-    stage.meeting = MIGHT_TOUCH
+    setattr(stage, found_by, MIGHT_TOUCH)
     await stage.change(2)
     assert (await stage.answer()).message.startswith("the finger may touch the arm")
     assert stage.rechecked[0].others_rad == {"gripper": 0.7}

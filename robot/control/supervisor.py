@@ -355,9 +355,12 @@ class Supervisor:
         """Take a standstill for a stop; return True if it is one.
 
         A motion may go on after a standstill within the watchdog's timeout, and begin after one within STANDSTILL_S.
+        Parking goes on after the latter, too: a stop would have the arm relaxed on its way.
         """
         controller, limit_s = self._controller, self._watchdog_s / self._rate
-        if controller is None or standstill_s <= (limit_s if controller.moving else max(limit_s, STANDSTILL_S)):
+        if controller is None or not controller.moving or self._parking.stage is not Stage.NOT_BEGUN:
+            limit_s = max(limit_s, STANDSTILL_S)
+        if controller is None or standstill_s <= limit_s:
             return False
         if not self._halted:
             self._halted, self._state_due = sentence.format(standstill_s), 0

@@ -107,6 +107,20 @@ def test_a_server_that_is_gone_in_mid_motion_sends_the_arm_back_before_it_parks(
     assert distance_to_rest(moving) < SINK_RAD
 
 
+@pytest.mark.parametrize("was_moving", [True, False])
+def test_an_arm_whose_process_stands_still_shortly_while_it_parks_goes_on_to_its_rest_pose(
+    rig: ArmRig, was_moving: bool
+) -> None:
+    if was_moving:
+        rig.execute(PAN)
+        rig.run(1.0)
+    lose_server(rig)
+    rig.run(0.8)
+    rig.clock.advance(4.0)
+    until_ended(rig)
+    assert distance_to_rest(rig) < SINK_RAD
+
+
 STEERED, PAUSED = Stream(1, ("shoulder_pan",)), ChangePace(direction=PlaybackDirection.PAUSED)
 GRIP = Execute(2, smooth_move({"gripper": (0.0, 1.0)}, 2.0), gripping=True)
 MOVES = (Execute(1, PAN), 1.0)

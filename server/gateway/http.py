@@ -124,7 +124,7 @@ for _suffix, _type in {
 _TEXT = re.compile(r"text/.*|.*[/+](json|xml)")
 
 # What has little to gain by another compression.
-_COMPRESSED = frozenset((".png", ".jpg", ".jpeg", ".woff2"))
+_COMPRESSED = frozenset((".png", ".jpg", ".jpeg", ".webp"))
 
 # The page has one megabyte, an arm's meshes at their full size have 16, and less again when both forms are asked for.
 CACHE_BYTES = 64 << 20

@@ -182,7 +182,10 @@ class Services(Providers[Call]):
         timeout_s: float | None = None,
         dialect: Dialect = "ros2",
     ) -> Call | None:
-        """Call a service, None if that is impossible; wait [s] 0 for `MAX_TIMEOUT_S`, None for the offer's time."""
+        """Call a service; return the call, or None if it is refused before it begins.
+
+        ``timeout_s`` is 0 for `MAX_TIMEOUT_S`, None for the offer's own [s].
+        """
         offer = self._offers.get(name)
         if offer is None:
             # The words of rosbridge_library (internal/services.py), which clients look for.

@@ -90,7 +90,7 @@ def to_json(value: Any) -> Any:
         return value[0]
     if isinstance(value, str | bool | int | float):
         return value
-    # rclpy has lists of numbers as arrays of Python, and those of fixed length as numpy's, as a triangle of a mesh.
+    # rclpy has lists of numbers as arrays of Python, or of numpy where their length is fixed, as in a mesh's triangles.
     if hasattr(value, "tolist"):
         return value.tolist()
     if isinstance(value, Sequence):

@@ -236,7 +236,7 @@ class Suggestion:
 
 
 def suggestion(message: Message, details: Mapping[str, Any], robot: RobotModel) -> Suggestion | None:
-    """Return the goal that would work by the details of a failure, as a plan has verified; None when they name none."""
+    """Return the goal that would work by the details of a failure, an existing name or where a plan led, or None."""
     if "nearest_name" in details:
         name = details["nearest_name"]
         return Suggestion(NAMED_TOPIC, NAMED_TYPE, {"data": name}, f"the named target {name!r}")

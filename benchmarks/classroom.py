@@ -21,7 +21,7 @@ import psutil
 from harness.clients import FrameClient, frame_client
 from harness.figures import print_table
 from harness.server import FAST, ROOT
-from harness.waiting import until_ready
+from harness.waiting import until_classroom_ready
 
 STUDENTS = 20
 MEASURE_S = 20.0
@@ -133,7 +133,7 @@ def _classroom(arm: str) -> Iterator[tuple[psutil.Process, list[str]]]:
     with tempfile.TemporaryDirectory() as folder:
         options = ["--students", str(STUDENTS), "--port", "0", "--data", folder, "--robot", arm]
         with _started("classroom", *options, ready="students.csv") as process:
-            until_ready(students := Path(folder) / "students.csv")
+            until_classroom_ready(students := Path(folder) / "students.csv")
             with students.open(newline="") as lines:
                 places = [row for row in csv.DictReader(lines) if row["name"] != "teacher"]
             yield process, [f"{row['url']}/?token={row['token']}" for row in places]

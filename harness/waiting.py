@@ -1,13 +1,12 @@
 """Waits for events, each with a timeout that only a broken program meets."""
 
 import asyncio
-import contextlib
 import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from http import HTTPStatus
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -31,18 +30,19 @@ def wait_until(condition: Callable[[], object], timeout_s: float = TIMEOUT_S) ->
         time.sleep(0.005)
 
 
-def until_ready(students: Path) -> None:
-    """Wait until the servers of a classroom's list are ready."""
+def until_classroom_ready(students: Path) -> None:
+    """Wait until the servers in a classroom's list are ready."""
     wait_until(students.exists)
     for url in {line.split(",")[1] for line in students.read_text().splitlines()[1:]}:
+        wait_until(partial(_is_ready, f"http{url.removeprefix('ws')}/readyz"))
 
-        def answers(url: str = url) -> bool:
-            # Nobody listens yet, or the server is not ready.
-            with contextlib.suppress(OSError):
-                return urlopen(f"http{url.removeprefix('ws')}/readyz", timeout=TIMEOUT_S).status == HTTPStatus.OK
-            return False
 
-        wait_until(answers)
+def _is_ready(url: str) -> bool:
+    try:
+        urlopen(url, timeout=TIMEOUT_S).close()
+    except OSError:  # nobody listens yet, or the server answers that it is not ready
+        return False
+    return True
 
 
 def join(thread: threading.Thread) -> None:

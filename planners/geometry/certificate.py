@@ -31,8 +31,8 @@ EARLIEST_STEP_M = 0.01
 
 LOOKS_AT_ONCE = 64  # numbers about these take 20 MB among 1000 objects
 
-# Most that a point of the robot travels to either side of where all pairs are looked at, of few pairs and of more than
-# some: with the less of both plans take 0.97 of the time on SO-101 and Panda, and 1.05 to 1.3 among 1000 objects.
+# Most that a point of the robot travels to either side of where all pairs are looked at, with few pairs and with more:
+# with 0.05 in place of 0.1 plans take 0.97 of the time on SO-101 and Panda, and 1.05 to 1.3 among 1000 objects.
 MARGINS_M, FEW_PAIRS = (0.05, 0.1), 2000
 
 CHECK_STEP_M = 0.001  # a search need not check more finely: its motions are certified afterwards

@@ -46,7 +46,7 @@ STEP_RAD = 0.15
 
 LEAST_PROGRESS = 0.2  # a step that has been brought back to less than this share of its length leads nowhere new
 STEPS_AT_ONCE = 20  # trees that reach out further at once are caught in corners
-DRAWN, LEAST = 64, 1e-12  # points drawn at once, and the least square of a distance, which may be below 0 by rounding
+DRAWN = 64  # points drawn at once
 COMPARED = 16_384  # distances to a tree computed at once: all of them at once took up to 3 ms, out of the cache
 DOMAIN_EDGES = 4.0  # edges from a blocked point within which it is still gone on from
 VIA_POINTS = 1024  # via points drawn at once, and compared in one numpy call
@@ -243,7 +243,8 @@ class _Tree:
         for first in range(0, len(drawn), count):
             some = slice(first, first + count)
             squares = self._squares(drawn[some])
-            nearest, away = squares.argmin(axis=1), np.sqrt(np.maximum(squares.min(axis=1) + own[some], LEAST))
+            # By rounding a square may be below 0.
+            nearest, away = squares.argmin(axis=1), np.sqrt(np.maximum(squares.min(axis=1) + own[some], 1e-12))
             points = self.points[nearest]
             ends = points + np.minimum(1.0, edge / away)[:, np.newaxis] * (drawn[some] - points)
             for index, distance, end in zip(nearest.tolist(), away.tolist(), ends, strict=True):
@@ -352,5 +353,4 @@ def via_point(
 
 def _drawn(space: JointSpace, rng: np.random.Generator, count: int) -> Vector:
     """Draw points within the limits, shape (count, n): as `uniform` does, which takes twice as long."""
-    shares = rng.random((count, len(space.lower_rad)))
-    return np.asarray(space.lower_rad + (space.upper_rad - space.lower_rad) * shares)
+    return np.asarray(space.lower_rad + (space.upper_rad - space.lower_rad) * rng.random((count, len(space.lower_rad))))

@@ -49,10 +49,8 @@ def find_example(name: str) -> ExampleRobot | None:
     urdf = _urdfs(robots)[name]
     srdf = urdf.parents[1] / "srdf" / f"{name}.srdf"
     if not srdf.is_file():
-        raise DescriptionError(
-            f"{PACKAGE}'s robot {name!r}",
-            f"has no SRDF ({srdf} is not there): write one, and give it with --srdf beside --urdf {urdf}",
-        )
+        remedy = f"armbridge robot import {urdf} --package-path {robots.parents[1]} makes a folder with one"
+        raise DescriptionError(f"{PACKAGE}'s robot {name!r}", f"has no SRDF ({srdf} is not there): {remedy}")
     return ExampleRobot(urdf, srdf, (robots.parents[1],))
 
 

@@ -1,9 +1,12 @@
 """The connection of clients/ros2, without ROS: what the node sends to a real server, and in which order."""
 
+import json
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import pytest
 
 from armbridge_ros2.interfaces import Joined, to_json
@@ -67,6 +70,10 @@ def test_a_refused_call_is_reported_by_its_answer_alone(
 
 def test_a_byte_of_rclpy_is_a_number_as_in_the_operation_of_an_object() -> None:
     assert to_json([b"\1", [b"\0", b"\2"]]) == [1, [0, 2]]
+
+
+def test_lists_of_rclpy_are_numbers_as_in_the_triangles_of_a_mesh() -> None:
+    assert json.dumps(to_json([np.array([0, 1, 2], np.uint32), array("d", [0.5])])) == "[[0, 1, 2], [0.5]]"
 
 
 @pytest.mark.parametrize("stop", STOPS, ids=lambda stop: stop.name)

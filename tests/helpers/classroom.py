@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 
 from harness.server import FAST, ROOT
-from harness.waiting import TIMEOUT_S, until_ready
+from harness.waiting import TIMEOUT_S, until_classroom_ready
 
 
 class Room:
@@ -24,7 +24,7 @@ class Room:
             cwd=ROOT,
             env={**os.environ, "PYTHONPATH": str(ROOT), **FAST},
         )
-        until_ready(folder / "students.csv")
+        until_classroom_ready(folder / "students.csv")
 
     @property
     def places(self) -> dict[str, tuple[str, str]]:

@@ -75,7 +75,7 @@ class WaitingGoal:
 
     Attributes:
         client: name of the client that sent the goal.
-        proposed: True for a goal that :meth:`AsyncArm.approve` approves, False for a goal of confirm mode.
+        proposed: True for a goal of a client that may only propose, False for a goal of confirm mode.
         summary: the planned motion in a sentence.
     """
 

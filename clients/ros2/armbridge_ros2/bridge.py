@@ -20,6 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 from armbridge_ros2.interfaces import (
     ACTIONS,
     FROM_SERVER,
+    SCENE,
     SERVICES,
     TO_SERVER,
     Joined,
@@ -61,6 +62,7 @@ class Bridge(Node):
         self._connection = Server(url, token, self._on_message, self._report)
         # One after the other: of a goal and a stop that wait together the stop, the last of the list, goes last.
         self._in_order = MutuallyExclusiveCallbackGroup()
+        self._objects_in_order = MutuallyExclusiveCallbackGroup()
         self._side_by_side = ReentrantCallbackGroup()
         for topic in FROM_SERVER:
             self._join(topic, self._take_topic)
@@ -105,8 +107,10 @@ class Bridge(Node):
                 self.get_logger().warning(f"{topic.name}: a message is lost: there is no connection to the server")
 
         self._connection.advertise(topic.name, topic.type)
+        # A mesh of 100,000 triangles takes half a second, for which no stop waits.
+        group = self._objects_in_order if topic in SCENE else self._in_order
         # Reliable, as publishers are unless they choose otherwise: no stop is lost on the way.
-        self.create_subscription(message_class, topic.name, pass_on, QUEUE, callback_group=self._in_order)
+        self.create_subscription(message_class, topic.name, pass_on, QUEUE, callback_group=group)
 
     def _offer_service(self, service: Joined, service_class: Any) -> None:
         def ask(request: Any, response: Any) -> Any:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import array
 import importlib
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -32,15 +31,18 @@ FROM_SERVER = (
     Joined("/monitored_planning_scene", "moveit_msgs/msg/PlanningScene"),
     Joined("/display_planned_path", "moveit_msgs/msg/DisplayTrajectory", latched=True),
 )
-# Stops are last: of messages that wait together the last of the list is passed on last.
+SCENE = (
+    Joined("/planning_scene", "moveit_msgs/msg/PlanningScene"),
+    Joined("/collision_object", "moveit_msgs/msg/CollisionObject"),
+    Joined("/attached_collision_object", "moveit_msgs/msg/AttachedCollisionObject"),
+)
+# Messages that wait together are taken in this order: objects before goals, stops last.
 TO_SERVER = (
+    *SCENE,
     Joined("/moveit_goal_named", "std_msgs/msg/String"),
     Joined("/moveit_goal_joints", "sensor_msgs/msg/JointState"),
     Joined("/moveit_goal_pose", "geometry_msgs/msg/PoseStamped"),
     Joined("/arm_controller/joint_trajectory", "trajectory_msgs/msg/JointTrajectory"),
-    Joined("/planning_scene", "moveit_msgs/msg/PlanningScene"),
-    Joined("/collision_object", "moveit_msgs/msg/CollisionObject"),
-    Joined("/attached_collision_object", "moveit_msgs/msg/AttachedCollisionObject"),
     # By which MoveGroupInterface and pymoveit2 stop the arm.
     Joined("/trajectory_execution_event", "std_msgs/msg/String"),
     Joined("/stop", "std_msgs/msg/Empty"),
@@ -88,7 +90,10 @@ def to_json(value: Any) -> Any:
         return value[0]
     if isinstance(value, str | bool | int | float):
         return value
-    if isinstance(value, Sequence | array.array) or hasattr(value, "tolist"):
+    # rclpy has lists of numbers as arrays of Python, or of numpy where their length is fixed, as in a mesh's triangles.
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    if isinstance(value, Sequence):
         return [to_json(each) for each in value]
     raise TypeError(f"a ROS message holds a {type(value).__name__}, which JSON cannot hold")
 

@@ -286,7 +286,7 @@ def test_a_published_robot_is_loaded_by_its_name_with_ideal_joints_if_it_has_an_
     found = robot_folder.resolve("panda")
     assert found.model.gripper == model.GripperModel(("panda_finger_joint1",), 0.04, 0.0)
     assert found.hardware.kind == "ideal"
-    with pytest.raises(DescriptionError, match=r"'ur10' has no SRDF"):
+    with pytest.raises(DescriptionError, match=r"'ur10' has no SRDF.*: armbridge robot import .*/ur10_robot.urdf"):
         find_example("ur10")
 
 

@@ -51,7 +51,7 @@ def test_what_one_arm_can_do_each_of_several_can() -> None:
     left, right = ({name.removeprefix(f"/{arm}") for name in names} for arm, names in of_arms.items())
     assert left == right
     # All that has a rule here and is no matter of the scene, of planning or of files.
-    shared = ("/arm/scenes/", "/moveit_goal_confirm", "/moveit_goal_approv", "/arm/servo_history")
+    shared = ("/arm/scenes/", "/moveit_goal_confirm_mode", "/moveit_goal_approv", "/arm/servo_history")
     arms_own = ("/arm/", "/servo_node/", "/moveit_goal", "/stop", "/emergency_stop", "/teleop/", "/trajectory_exec")
     assert {name for name in one if name.startswith(arms_own) and not name.startswith(shared)} <= left
     # A way to the rest pose is of one arm.

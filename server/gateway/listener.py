@@ -174,6 +174,9 @@ TLS_SHUTDOWN_TIMEOUT_S = 1.0
 # Connections that wait to be accepted; a flood of one client's must not keep another's out of the queue.
 BACKLOG = 1024
 
+# Port 0 takes a free one of the first address, which another program may have on the next.
+FREE_PORT_TRIES = 5
+
 # The address is not there on this machine: without IPv6, ``localhost`` is 127.0.0.1 alone.
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
 
@@ -390,21 +393,31 @@ async def resolve(host: str, port: int) -> list[Place]:
 
 def listen(places: Sequence[Place], host: str, port: int, option: str = "--port") -> list[socket.socket]:
     """Take a port, 0 for a free one, on every address of this machine, or raise StartError naming ``option``."""
+    for tries_left in reversed(range(FREE_PORT_TRIES)):
+        try:
+            return _listen_on_all(places, port)
+        except OSError as error:
+            if port or error.errno != errno.EADDRINUSE or not tries_left:
+                raise StartError(_reason(host, port, error, option)) from error
+    raise AssertionError("no try was the last")
+
+
+def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
     listening: list[socket.socket] = []
-    refusal = f"cannot listen on {host}:{port}: it has no address"
+    missing: OSError | None = None
     for place in places:
         try:
             listening.append(_listen_on(place, port, alone=len(places) == 1))
         except OSError as error:
-            refusal = _reason(host, port, error, option)
             if error.errno not in _NOT_HERE:
                 for each in listening:
                     each.close()
-                raise StartError(refusal) from error
+                raise
+            missing = error
         else:
             port = listening[0].getsockname()[1]
     if not listening:
-        raise StartError(refusal)
+        raise missing or OSError(errno.EADDRNOTAVAIL, "no address")
     return listening
 
 

@@ -1,5 +1,6 @@
 import asyncio
 import contextlib
+import errno
 import resource
 import socket
 import ssl
@@ -16,7 +17,7 @@ from server.access.settings import AccessSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway import listener as listener_module
 from server.gateway.admission import ConnectionLimiter
-from server.gateway.listener import LIST_PERIOD_S, SPARE, ClientList, Listener, Tls, listen
+from server.gateway.listener import LIST_PERIOD_S, SPARE, ClientList, Listener, Place, Tls, listen
 from server.gateway.settings import ServerSettings
 from server.graph.permissions import Node
 from server.graph.topics import Graph
@@ -276,6 +277,23 @@ def test_both_families_get_the_same_free_port() -> None:
         assert one.getsockname()[1] == two.getsockname()[1] > 0
         for address in ("127.0.0.1", "::1"):
             socket.create_connection((address, one.getsockname()[1]), timeout=30.0).close()
+
+
+@pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")
+def test_a_free_port_that_is_taken_in_the_other_family_is_given_up_for_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    tries: list[int] = []
+    listen_on = listener_module._listen_on
+
+    def listen_on_taken(place: Place, port: int, *, alone: bool) -> socket.socket:
+        tries.append(port)
+        if len(tries) == 2:
+            raise OSError(errno.EADDRINUSE, "taken")
+        return listen_on(place, port, alone=alone)
+
+    monkeypatch.setattr(listener_module, "_listen_on", listen_on_taken)
+    for made in listen([IPV4, IPV6], "localhost", 0):
+        made.close()
+    assert len(tries) == 4
 
 
 def test_a_family_that_the_machine_has_not_is_left_out() -> None:

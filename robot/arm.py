@@ -474,7 +474,8 @@ class Arm(ArmClock):
 
     def _exited(self) -> None:
         ran_s = 0.0 if self._heard_since_s is None else time.monotonic() - self._heard_since_s
-        halted = f"the arm process was silent for {SILENT_S:g} s" * (self._silent_heartbeats > SILENT_HEARTBEATS)
+        hung = self._silent_heartbeats > SILENT_HEARTBEATS
+        halted = f"the arm process was silent for {SILENT_S:g} s" if hung else ""
         self._heard_since_s, self._silent_heartbeats = None, 0
         self._answer_held()
         for motion_id, motion in list(self._motions.items()):

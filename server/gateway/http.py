@@ -357,10 +357,13 @@ class HttpHandler:
             )
             return HttpResponse.of_failure(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, sentence)
         lengths = headers.get_all("Content-Length")
-        if headers.get_all("Transfer-Encoding") or len(lengths) != 1 or not _LENGTH.fullmatch(lengths[0]):
+        in_parts = headers.get_all("Transfer-Encoding")
+        if in_parts or len(lengths) != 1 or not _LENGTH.fullmatch(lengths[0]):
             got = one_line(shorten(", ".join(lengths) or "none"))
             sentence = f"the header Content-Length must be one number, without Transfer-Encoding, not {got}"
-            return HttpResponse.of_failure(HTTPStatus.LENGTH_REQUIRED, sentence)
+            # RFC 9112, 6.3: a length that is no number is a bad request.
+            status = HTTPStatus.LENGTH_REQUIRED if in_parts or not lengths else HTTPStatus.BAD_REQUEST
+            return HttpResponse.of_failure(status, sentence)
         if int(lengths[0]) > MAX_BODY_BYTES:
             sentence = f"the body has {int(lengths[0])} bytes, the limit is {MAX_BODY_BYTES}"
             return HttpResponse.of_failure(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, sentence)

@@ -169,7 +169,7 @@ async def test_a_mistake_is_one_sentence_that_names_it(door: Door) -> None:
         (READY, ("Content-Type: text/plain",), 415, "must be application/json, not text/plain"),
         (READY, ("Content-Type: ",), 415, "must be application/json, not none"),
         (READY, ("Content-Length: ",), 411, "Content-Length must be one number, without Transfer-Encoding, not none"),
-        (READY, ("Content-Length: -1",), 411, "without Transfer-Encoding, not -1"),
+        (READY, ("Content-Length: -1",), 400, "without Transfer-Encoding, not -1"),
         (READY, ("Transfer-Encoding: chunked",), 411, "without Transfer-Encoding, not "),
     ):
         got, answer = await door.post(body, *lines)

@@ -178,6 +178,9 @@ TICK_LATE_S = 0.003
 # A trajectory comes to the arm later than expected by at most this, mostly: its check takes 3 to 4 ms [s].
 ARRIVAL_LATE_S = 0.001
 
+# Rounding of monotonic times and their sums, far below any visible effect [s].
+ROUNDING_S = 1e-8
+
 # The arm may have played so much less of its motion than the latest state says here: states come at 50 Hz.
 STATE_AGE_S = 0.1
 
@@ -247,7 +250,7 @@ class PathTime:
         """
         if not self.at_tick:
             return arrives_s
-        since_tick_s = math.fmod(arrives_s - self.at_s, PERIOD_S)
+        since_tick_s = self._since_tick_s(arrives_s)
         return arrives_s - since_tick_s + min(since_tick_s, TICK_LATE_S)
 
     def clear_of_tick(self, arrives_s: float) -> float:
@@ -257,7 +260,11 @@ class PathTime:
 
     def passes_s(self, arrives_s: float) -> float:
         """Return the time at which the arm is past that point: of its next tick, or a period later."""
-        return arrives_s + PERIOD_S - (math.fmod(arrives_s - self.at_s, PERIOD_S) if self.at_tick else 0.0)
+        return arrives_s + PERIOD_S - (self._since_tick_s(arrives_s) if self.at_tick else 0.0)
+
+    def _since_tick_s(self, time_s: float) -> float:
+        # The time of a tick, a sum of others, is rounded, and must not be taken for the end of the period before it.
+        return max(math.fmod(time_s - self.at_s + ROUNDING_S, PERIOD_S) - ROUNDING_S, 0.0)
 
 
 def splice_point_of(motion: Trajectory, path_time: PathTime, now_s: float, horizon_s: float) -> SplicePoint | None:

@@ -220,7 +220,7 @@ def test_a_motion_that_would_jump_is_refused(trajectory: Trajectory, number: int
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_motion_fits_where_it_comes_by_the_same_place_at_the_same_speed(sign: float) -> None:
     path = since(0.9)
-    for by_rad, by_rad_s, fits in ((0.9e-6, 0.0, True), (1.1e-6, 0.0, False), (0.0, 9e-5, True), (0.0, 1.1e-4, False)):
+    for by_rad, by_rad_s, fits in ((0.9e-6, 0.0, True), (1.1e-6, 0.0, False), (0.0, 9e-4, True), (0.0, 1.1e-3, False)):
         off = np.array([[0.0, sign]])
         arrays = path.positions_rad + by_rad * off, path.velocities_rad_s + by_rad_s * off, path.accelerations_rad_s2
         moved = Trajectory(path.joint_names, path.time_s, *arrays)

@@ -143,3 +143,12 @@ def test_a_trajectory_leaves_the_path_just_after_the_last_tick_before_it_comes_t
     untimed = replace(path_time, at_tick=False)
     assert untimed.clear_of_tick(arrives_s) == arrives_s
     assert (untimed.earliest_leave_s(arrives_s), untimed.passes_s(arrives_s)) == (arrives_s, arrives_s + PERIOD_S)
+
+
+def test_a_trajectory_that_comes_at_a_tick_leaves_the_path_there_however_the_times_are_rounded() -> None:
+    for ticks in range(1, 200):
+        path_time = motions.PathTime(74_211.123_456_7, 1.0, 1.0, at_tick=True)
+        tick_s = path_time.at_s + ticks * PERIOD_S
+        arrives_s = path_time.clear_of_tick(tick_s - 0.0004)
+        assert path_time.earliest_leave_s(arrives_s) == pytest.approx(tick_s, abs=1e-7)
+        assert path_time.passes_s(arrives_s) == pytest.approx(tick_s + PERIOD_S, abs=1e-7)

@@ -62,7 +62,11 @@ def path(position_rad: float, duration_s: int) -> FollowJointTrajectory.Goal:
     return goal
 
 
-# The bridge passes them on once it has its server.
+# A subscription is found in its own time, here and by the bridge, and a scene is published once, when it changes. The
+# bridge hears of these in their order: it has found the scene's once there are joints, which it passes on when it has
+# its server.
+scenes: list[PlanningScene] = []
+node.create_subscription(PlanningScene, "/monitored_planning_scene", scenes.append, 10)
 states: list[JointState] = []
 node.create_subscription(JointState, "/joint_states", states.append, 10)
 spin(lambda: states)
@@ -104,8 +108,6 @@ box.primitives, box.primitive_poses = [SolidPrimitive(type=SolidPrimitive.BOX, d
 objects = node.create_publisher(CollisionObject, "/collision_object", 10)
 spin(objects.get_subscription_count)
 objects.publish(box)
-scenes: list[PlanningScene] = []
-node.create_subscription(PlanningScene, "/monitored_planning_scene", scenes.append, 10)
 spin(lambda: any(each.world.collision_objects for each in scenes))
 status, result, count = carry_out(MoveGroup, "/move_action", move)
 seen["in contact"] = [status, result.error_code.val]

@@ -38,9 +38,10 @@ def spin(until: Callable[[], object]) -> None:
 
 
 latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-node.create_subscription(JointState, "/joint_states", lambda message: seen.update(joints=message), 10)
+# The joints last: the bridge hears of subscriptions in their order, and has found the others once there are joints.
 node.create_subscription(String, "/robot_description", lambda message: seen.update(urdf=message), latched)
 node.create_subscription(DiagnosticStatus, "/moveit_goal_status", end, 10)
+node.create_subscription(JointState, "/joint_states", lambda message: seen.update(joints=message), 10)
 named = node.create_publisher(String, "/moveit_goal_named", 10)
 joints = node.create_publisher(JointState, "/moveit_goal_joints", 10)
 stop = node.create_publisher(Empty, "/stop", 10)

@@ -73,6 +73,7 @@ async def test_one_of_two_motions_is_stopped(rig: ArmOnServos) -> None:
     assert (await pan).outcome is Outcome.REACHED
 
 
+@pytest.mark.stepped_time
 async def test_the_refusal_of_a_motion_does_not_wait_for_the_next_state_as_an_end_and_a_way_to_rest_do() -> None:
     arm: Any = FakeArm()
     loop = asyncio.get_running_loop()
@@ -84,7 +85,7 @@ async def test_the_refusal_of_a_motion_does_not_wait_for_the_next_state_as_an_en
     arm._motions = {}
     arm.state = replace(arm.state, motions=(MotionProgress(NO_MOTION, 0.5, 1.0),))
     resting = asyncio.create_task(Arm.rest(arm, TIMEOUT_S))
-    await asyncio.wait([resting], timeout=2.5 * STATE_POLL_S)
+    await asyncio.sleep(2.5 * STATE_POLL_S)
     assert not resting.done()
     arm.state = replace(arm.state, motions=())
     assert await resting

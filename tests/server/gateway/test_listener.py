@@ -276,7 +276,7 @@ def test_both_families_get_the_same_free_port() -> None:
     with one, two:
         assert one.getsockname()[1] == two.getsockname()[1] > 0
         for address in ("127.0.0.1", "::1"):
-            socket.create_connection((address, one.getsockname()[1]), timeout=30.0).close()
+            socket.create_connection((address, one.getsockname()[1]), timeout=TIMEOUT_S).close()
 
 
 @pytest.mark.skipif(not has_ipv6(), reason="this machine has no IPv6")

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from harness.waiting import TIMEOUT_S
 from robot.faults import FaultCode
 from robot.messages import Mode
 from server.config import Settings
@@ -176,7 +177,7 @@ class Systemd:
         self.address = address
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.socket.bind("\0" + address[1:] if address.startswith("@") else address)
-        self.socket.settimeout(30.0)
+        self.socket.settimeout(TIMEOUT_S)
 
     def heard(self) -> list[str]:
         return self.socket.recv(4096).decode().splitlines()

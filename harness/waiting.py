@@ -52,15 +52,23 @@ def join(thread: threading.Thread) -> None:
 
 
 @contextmanager
+def killed_in_time(process: subprocess.Popen[str]) -> Iterator[None]:
+    """Kill a program at the end of the time, so that no read from it waits without an end."""
+    overdue = threading.Timer(TIMEOUT_S, process.kill)
+    overdue.start()
+    try:
+        yield
+    finally:
+        overdue.cancel()
+
+
+@contextmanager
 def running(command: Sequence[str | Path], **options: Any) -> Iterator[subprocess.Popen[str]]:
-    """Run a program; the end of the block or of its time kills it, so that no read from it waits without an end."""
-    with subprocess.Popen(command, text=True, **options) as process:
-        overdue = threading.Timer(TIMEOUT_S, process.kill)
-        overdue.start()
+    """Run a program; the end of the block or of its time kills it."""
+    with subprocess.Popen(command, text=True, **options) as process, killed_in_time(process):
         try:
             yield process
         finally:
-            overdue.cancel()
             process.kill()
 
 

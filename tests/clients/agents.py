@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from harness.waiting import TIMEOUT_S, running
+from harness.waiting import TIMEOUT_S, killed_in_time
 
 PROGRAM = Path(__file__).with_name("agent_scenario.py")
 
@@ -76,7 +76,8 @@ class Agent:
 
     def _read(self) -> None:
         assert self._process.stdout is not None
-        number, told = json.loads(self._process.stdout.readline())
+        with killed_in_time(self._process):
+            number, told = json.loads(self._process.stdout.readline())
         if number:
             self._results[number] = told
             return
@@ -92,8 +93,12 @@ def agent_of(python: Path, mode: str, *target: str, cwd: Path | None = None, **e
         target = (str(python.with_name(target[0])), *target[1:])
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     command = [python, PROGRAM, mode, *target]
-    with running(command, cwd=cwd, env={**os.environ, **environment}, **pipes) as process:
-        yield Agent(process)
-        assert process.stdin is not None
-        process.stdin.close()
-        assert process.wait(TIMEOUT_S) == 0
+    with subprocess.Popen(command, text=True, cwd=cwd, env={**os.environ, **environment}, **pipes) as process:
+        # All tests of a module have one agent: its time begins with each read.
+        try:
+            yield Agent(process)
+            assert process.stdin is not None
+            process.stdin.close()
+            assert process.wait(TIMEOUT_S) == 0
+        finally:
+            process.kill()

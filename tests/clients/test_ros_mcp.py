@@ -166,7 +166,7 @@ def test_a_parameter_is_set_read_and_deleted(ask: Ask) -> None:
 
 def test_a_topic_is_subscribed_once_and_for_a_while(ask: Ask) -> None:
     assert ask("subscribe_once", **JOINT_STATE)["msg"]["name"] == JOINTS
-    many = ask("subscribe_for_duration", **JOINT_STATE, max_messages=5, duration=5.0, expects_image="false")
+    many = ask("subscribe_for_duration", **JOINT_STATE, max_messages=5, duration=TIMEOUT_S, expects_image="false")
     summary, *states = map(json.loads, many)
     assert summary == {"topic": "/joint_states", "collected_count": 5, "status_errors": []}
     assert [state["name"] for state in states] == [JOINTS] * 5

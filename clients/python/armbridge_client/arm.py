@@ -31,7 +31,7 @@ def connect(
     arm: str = "",
     tls: ssl.SSLContext | None = None,
     on_disconnect: Literal["stop", "finish"] = "stop",
-    timeout_s: float = 5.0,
+    timeout_s: float = CALL_TIMEOUT_S,
 ) -> Arm:
     """Connect to a server; to be used with ``with``.
 

@@ -64,7 +64,7 @@ async def connect_async(
     arm: str = "",
     tls: ssl.SSLContext | None = None,
     on_disconnect: Literal["stop", "finish"] = "stop",
-    timeout_s: float = 5.0,
+    timeout_s: float = CALL_TIMEOUT_S,
 ) -> AsyncArm:
     """Connect to a server, for programs with an event loop.
 

@@ -50,6 +50,8 @@ MAX_MESSAGE_BYTES = 32_000_000
 
 CALL_TIMEOUT_S = 10.0
 CLOSE_TIMEOUT_S = 2.0
+# Most connections take milliseconds: whoever waits longer, as for a busy machine or a wrong host, sees what for.
+QUIET_S = 1.0
 RECONNECT_FIRST_S, RECONNECT_MOST_S = 0.1, 2.0
 
 WHO_SERVICE = "/arm/who_am_i"
@@ -95,7 +97,7 @@ class Address:
     token: str | None = None
     tls: ssl.SSLContext | None = None
     on_disconnect: Literal["stop", "finish"] = "stop"
-    connect_timeout_s: float = 5.0
+    connect_timeout_s: float = CALL_TIMEOUT_S
 
     def open(self) -> connect:
         """Return the connector of websockets; it follows no redirection, so the token reaches this server alone."""
@@ -192,14 +194,19 @@ class Connection:
             DeadlineExceeded: the server does not answer in time.
         """
         address = self._address
-        timeout_s = address.connect_timeout_s
-        await within(timeout_s, self._connect(), f"{address.url}: no answer to the connection")
+        url, timeout_s = address.url, address.connect_timeout_s
+        waiting = asyncio.get_running_loop().call_later(
+            QUIET_S, log.warning, "%s: no answer yet; waiting up to %g s", url, timeout_s
+        )
         try:
-            reading = asyncio.to_thread(read_arms, address.url, address.token, address.tls, timeout_s)
-            self.arms = await within(timeout_s, reading, f"{address.url}: no description of the server")
+            await within(timeout_s, self._connect(), f"{url}: no answer to the connection")
+            reading = asyncio.to_thread(read_arms, url, address.token, address.tls, timeout_s)
+            self.arms = await within(timeout_s, reading, f"{url}: no description of the server")
         except BaseException:
             await self.close()
             raise
+        finally:
+            waiting.cancel()
         self._keeper = asyncio.create_task(self._keep(), name=f"connection to {self._address.url}")
 
     async def close(self) -> None:

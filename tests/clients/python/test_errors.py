@@ -27,6 +27,7 @@ from armbridge_client import (
     WrongVersion,
     connect,
     connect_async,
+    connection,
 )
 from armbridge_client.connection import Address, Connection
 from armbridge_client.messages import TYPES, String, TriggerRequest
@@ -109,6 +110,13 @@ def test_an_address_that_is_none(url: str) -> None:
 def test_a_server_that_never_answers_is_given_up_after_the_deadline() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent, pytest.raises(DeadlineExceeded, match="no answer"):
         connect(f"ws://127.0.0.1:{silent.getsockname()[1]}", timeout_s=0.2)
+
+
+def test_a_wait_for_the_server_is_logged(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setattr(connection, "QUIET_S", 0.0)
+    with socket.create_server(("127.0.0.1", 0)) as silent, pytest.raises(DeadlineExceeded):
+        connect(url := f"ws://127.0.0.1:{silent.getsockname()[1]}", timeout_s=0.2)
+    assert caplog.messages == [f"{url}: no answer yet; waiting up to 0.2 s"]
 
 
 def test_a_web_server_is_not_armbridge() -> None:

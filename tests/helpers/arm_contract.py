@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
+import pytest_asyncio
 
 from harness.waiting import TIMEOUT_S, until
 from robot.arm import Arm
@@ -143,6 +144,11 @@ async def place_of(kind: str, real_arm: str | None = None) -> AsyncIterator[Plac
 
 class ArmContract:
     """Contract of every arm; each test leaves it holding where it was, or near."""
+
+    @pytest_asyncio.fixture(loop_scope="module", autouse=True)
+    async def _acknowledged(self, place: Place) -> None:
+        """Stop the arm, as the server does after a standstill: between tests no event loop runs, nor its heartbeat."""
+        place.arm.stop()
 
     async def test_an_arm_that_holds_is_at_its_goals(self, place: Place) -> None:
         state = place.arm.state

@@ -13,7 +13,7 @@ import pytest
 from armbridge_client import Arm
 from armbridge_client.messages import ActionChunkAnswer
 from harness.server import RunningServer, free_port
-from harness.waiting import running, wait_until
+from harness.waiting import TIMEOUT_S, running, wait_until
 from server.chunks.action_chunks import PAUSE_S
 from tests.helpers.frame_proxy import Operation, frame_proxy
 from tests.helpers.programs import run
@@ -80,7 +80,7 @@ def test_chunks_of_an_openpi_server_move_the_arm_and_its_observations_are_as_ask
     ):
         assert len(list(islice(followed(arm), 6))) == 6
         arm.stop()
-        assert client.wait(timeout=120) != 0
+        assert client.wait(TIMEOUT_S) != 0
         ended_s = time.monotonic()
         first, last = stub.observations[0], stub.observations[-1]
     assert sorted(first) == ["observation/image", "observation/state", "prompt"]

@@ -19,7 +19,7 @@ import pytest
 from armbridge_client import Arm, connect
 from armbridge_client.messages import ActionChunkAnswer, Header, JointState, KinematicSolverInfo, Time
 from harness.server import FAST, FAST_ARMS, ROOT, RunningServer, free_port
-from harness.waiting import running, wait_until
+from harness.waiting import TIMEOUT_S, join, running, wait_until
 from tests.helpers.programs import run
 
 BIN = ROOT / "build" / "lerobot" / "bin"
@@ -74,7 +74,7 @@ def leader(port: int) -> Iterator[None]:
         yield
     finally:
         ended.set()
-        thread.join(timeout=10)
+        join(thread)
 
 
 @contextmanager
@@ -228,7 +228,7 @@ def test_a_policy_of_lerobot_drives_the_arm(
         assert len({each.id for each in followed}) == 5
         # A stop by anybody ends the policy, with the reason.
         arm.stop()
-        assert client.wait(timeout=120) != 0
+        assert client.wait(TIMEOUT_S) != 0
     assert "the arm was stopped" in lines.read_text()
 
 
@@ -254,7 +254,7 @@ def scenario(port: int, *arm: str) -> Iterator[subprocess.Popen[str]]:
     command = [BIN / "python", SCENARIO, "robot", f"ws://127.0.0.1:{port}", *arm]
     with running(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=1) as process:
         yield process
-        process.communicate(timeout=60)
+        process.communicate(timeout=TIMEOUT_S)
 
 
 def ask(process: subprocess.Popen[str], line: str) -> dict[str, float | str]:

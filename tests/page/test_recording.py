@@ -14,6 +14,7 @@ from websockets.sync.client import connect
 
 from harness.page import SHARED, OpenPage
 from harness.server import FAST, RunningServer
+from harness.waiting import join
 from protocol.codecs import cdr
 from server.errors import RecordingError
 from server.interfaces import load_registry
@@ -73,7 +74,7 @@ def published(
         yield
     finally:
         ended.set()
-        thread.join(timeout=20)
+        join(thread)
 
 
 def test_episodes_are_started_kept_and_dropped_by_buttons_and_lerobots_keys(panel: OpenPage, recording: Path) -> None:

@@ -50,7 +50,7 @@ MAX_MESSAGE_BYTES = 32_000_000
 
 CALL_TIMEOUT_S = 10.0
 CLOSE_TIMEOUT_S = 2.0
-# Most connections take milliseconds: whoever waits longer, as for a busy machine or a wrong host, sees what for.
+# A connection takes milliseconds. A longer wait, as for a busy machine or a wrong host, is logged.
 QUIET_S = 1.0
 RECONNECT_FIRST_S, RECONNECT_MOST_S = 0.1, 2.0
 

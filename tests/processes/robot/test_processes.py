@@ -194,6 +194,7 @@ def test_a_start_that_fails_leaves_no_descriptor_open(monkeypatch: pytest.Monkey
 
 FORKED = """
 import asyncio, json, os, signal, subprocess
+from harness.waiting import TIMEOUT_S
 from robot.channel import Channel
 from robot.processes import Child, StartedChild
 
@@ -214,8 +215,8 @@ async def main(started):
         await asyncio.sleep(0.01)
     running = child.running
     {end}
-    await asyncio.wait_for(exited.wait(), 20)
-    await child.wait(20)
+    await asyncio.wait_for(exited.wait(), TIMEOUT_S)
+    await child.wait(TIMEOUT_S)
     print(json.dumps([received[0], child.pid, running, child.ending]))
 
 asyncio.run(main(StartedChild("", body=echo)))

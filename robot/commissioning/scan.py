@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot.control.pacing import PERIOD_S
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
@@ -24,6 +23,7 @@ from robot.hardware.feetech.registers import (
 )
 from robot.hardware.interface import Steps, run_to_end
 from robot.hardware.servos import bus as servo_bus
+from robot.trajectory import PERIOD_S
 
 # Register BAUD_RATE 0 to 7 (Feetech's memory table); the SDK has no name for 76800.
 BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400)

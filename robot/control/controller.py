@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot.control.checks import names_refusal, refusal
 from robot.control.guards import Guards, Persistence
 from robot.control.motion import Motion, Streaming, splice, splice_refusal
 from robot.control.pacing import MAX_TICK_S
@@ -31,7 +30,7 @@ from robot.messages import (
     Setpoint,
     Stream,
 )
-from robot.trajectory import Vector
+from robot.trajectory import Vector, names_refusal, refusal
 
 # Step bound of one tick as a multiple of what the velocity limit allows: leaves room for one late tick.
 STEP_MARGIN = 1.5

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot.control.cycle import ControlCycle
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling
+from robot.control.pacing import Pacer, Scheduling
 from robot.control.supervisor import arm_health, arm_state
 from robot.description.limits import within_calibration
 from robot.emulator.populations import POPULATIONS
@@ -32,6 +32,7 @@ from robot.messages import (
     Stop,
     Stream,
 )
+from robot.trajectory import PERIOD_S
 from tests.helpers.arm_rig import CALIBRATION, METAL, NAMES, ArmRig, unread_hardware
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move

@@ -24,9 +24,8 @@ from planners.problem import (
     RecheckQuestion,
 )
 from planners.scene import Scene
-from robot.control.pacing import PERIOD_S
 from robot.messages import Mode, MotionEnded, Outcome, Pace, PlaybackDirection
-from robot.trajectory import Trajectory
+from robot.trajectory import PERIOD_S, Trajectory
 from server.execution import executor as execution
 from server.execution.confirmation import Confirmation
 from server.execution.executor import ExecutionContext, GoalExecutor

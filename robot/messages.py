@@ -358,10 +358,7 @@ class ArmState(Frequent):
     load: Vector | None = None  # share of full motor duty, signed, -1..1, shape (joints,)
     current_a: Vector | None = None  # motor current, signed, shape (joints,) [A]
     goal_rad: Vector | None = None  # commanded, shape (joints,)
-    motion_id: int | None = None  # motion in progress, of several the motion with most joints; None at rest
-    fraction: float = 0.0  # share of the motion that is done, 0..1
-    remaining_s: float = 0.0  # time left to the end of the motion [s]
-    motions: tuple[MotionProgress, ...] = ()
+    motions: tuple[MotionProgress, ...] = ()  # motions in progress
     pace: Pace = Pace()
     # Start of the latest ticks after their deadlines, one value each [s].
     lateness_s: tuple[float, ...] = field(default=())

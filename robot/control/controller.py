@@ -113,11 +113,6 @@ class ArmController:
         return not self.moving and (not self.torque_enabled or self._hold_rad.tolist() == self.goal_rad.tolist())
 
     @property
-    def motion(self) -> Motion | Streaming | None:
-        """Motion in progress; of several, the motion with most joints."""
-        return max(self.motions, key=lambda motion: len(motion.columns), default=None)
-
-    @property
     def progress(self) -> tuple[MotionProgress, ...]:
         return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s, one.rate) for one in self.motions)
 

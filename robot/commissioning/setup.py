@@ -353,7 +353,7 @@ class _Writer:
             yield 0.0
             # The servo may acknowledge with either id.
             with contextlib.suppress(NoReply):
-                bus.write(self.servo_id, Register.ID, new_id, attempts=1)
+                bus.write(self.servo_id, Register.ID, new_id)
             with contextlib.suppress(NoReply):
                 if (yield from read(bus, new_id, Register.ID)) == new_id:
                     self.servo_id = new_id

@@ -67,14 +67,10 @@ MAX_REFUSALS_PER_FRAME = 8
 
 
 class FrameReader:
-    """Reads the frames of one client; ``last_was_bson`` decides whether the answers are BSON.
-
-    Most frames are one JSON object. Some clients run several together, cut one into several frames, or send something
-    in front of it; some send BSON. All of it is read in a time that grows with its length alone.
-    """
+    """Reads frames in linear time: of one JSON object mostly, of several, of a piece, behind other text, or of BSON."""
 
     def __init__(self, limits: Limits) -> None:
-        self.last_was_bson = False
+        self.last_was_bson = False  # decides whether the answers are BSON
         self._limits = limits
         # What begins with an object whose end has not come yet, and how far its end has been looked for.
         self._pending = bytearray()

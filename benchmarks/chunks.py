@@ -12,7 +12,7 @@ from harness.clients import ArmClient, arm_client
 from harness.figures import percentiles, print_table
 from harness.server import FAST, ROOT, RunningServer
 from harness.waiting import running
-from robot.control.pacing import PERIOD_S
+from robot.trajectory import PERIOD_S
 
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 CHUNKS, POINTS, HZ, EVERY_S = 200, 50, 30.0, 0.1

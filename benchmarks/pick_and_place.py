@@ -15,7 +15,7 @@ import numpy as np
 
 from robot.calibration import Calibration
 from robot.control.loop import hardware_opener
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling, SimulationClock
+from robot.control.pacing import Pacer, Scheduling, SimulationClock
 from robot.control.supervisor import Supervisor
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import JointBounds, within_calibration
@@ -23,7 +23,7 @@ from robot.description.robot_folder import built_in
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmConfig, Execute, MotionEnded, Outcome
 from robot.physics.bodies import Body, BodyShape, BodyState, SetBodies
-from robot.trajectory import MotionLimits, bridge
+from robot.trajectory import PERIOD_S, MotionLimits, bridge
 
 # Poses above and around a block of 25 x 25 x 50 mm at BLOCK_M, with the fingers open and closed [rad]. There the block
 # is 6.6 mm from the fixed finger. With 2.5 mm less this finger came down on blocks; with 5.5 mm more the

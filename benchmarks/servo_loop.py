@@ -28,12 +28,11 @@ from harness.write_log import Entry, read_entries
 from planners.pool import PlannerPool
 from robot.arm import Arm
 from robot.calibration import Calibration
-from robot.control.pacing import PERIOD_S
 from robot.description.limits import within_calibration
 from robot.description.robot_folder import built_in
 from robot.hardware.config import SerialConfig
 from robot.messages import ArmConfig, ArmHealth, ArmState, Mode, MotionEnded
-from robot.trajectory import rest_to_rest
+from robot.trajectory import PERIOD_S, rest_to_rest
 
 CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
 ROBOT = within_calibration(built_in("so101").model, CALIBRATION)

@@ -28,12 +28,11 @@ from planners.pool import PlannerPool
 from planners.servo.question import ServoAnswer, ServoQuestion, TipTwist
 from robot.arm import Arm
 from robot.calibration import Calibration
-from robot.control.pacing import PERIOD_S
 from robot.description.limits import JointBounds, within_calibration
 from robot.description.robot_folder import built_in
 from robot.hardware.config import SerialConfig
 from robot.messages import ArmConfig, Commanded
-from robot.trajectory import TIME_TO_FULL_ACCELERATION_S
+from robot.trajectory import PERIOD_S, TIME_TO_FULL_ACCELERATION_S
 
 CALIBRATION = replace(Calibration.nominal(built_in("so101").hardware.servos), measured=True)
 ROBOT = within_calibration(built_in("so101").model, CALIBRATION)

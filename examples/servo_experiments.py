@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from robot.commissioning.doctor import Finding, Verdict
-from robot.commissioning.scan import measure_reads, read_telemetry
 from robot.errors import NoReply, RobotError, StartupError
 from robot.hardware.boards import resolve_port
 from robot.hardware.feetech.bus import SERVO_IDS, Bus
@@ -29,9 +28,10 @@ from robot.hardware.feetech.registers import (
     TELEMETRY_BYTES,
     Register,
     Telemetry,
+    parse_telemetry,
 )
 from robot.hardware.interface import StatusFlag, run_to_end
-from robot.hardware.servos.bus import write_verified
+from robot.hardware.servos.bus import ATTEMPTS, write_verified
 
 GENTLE_TORQUE = 200  # Register TORQUE_LIMIT during experiments [0.1 %]: a finger stops the gripper
 
@@ -104,8 +104,11 @@ class ServoRig:
         return self.bus.read(self.servo_id, register)
 
     def telemetry(self) -> Telemetry:
-        """Read the servo's telemetry."""
-        return read_telemetry(self.bus, self.servo_id)
+        """Read the servo's telemetry; raises NoReply."""
+        for _ in range(ATTEMPTS):
+            if frame := self.bus.sync_read((self.servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES).get(self.servo_id):
+                return parse_telemetry(frame.data)
+        raise NoReply(self.servo_id, ATTEMPTS)
 
     def set(self, register: Register, value: int) -> None:
         """Write a register of the servo, and verify it."""
@@ -202,7 +205,9 @@ def _return_delay(rig: ServoRig) -> Answer:
         for _ in range(RETURN_DELAY_READS):
             for delay, taken_s in times.items():
                 rig.set(Register.RETURN_DELAY, delay)
-                taken_s += measure_reads(rig.bus, rig.servo_id, TELEMETRY_ADDRESS, TELEMETRY_BYTES, 1, rig.clock)
+                start_s = rig.clock()
+                if rig.bus.sync_read((rig.servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES):
+                    taken_s.append(rig.clock() - start_s)
     finally:
         rig.set(Register.RETURN_DELAY, before)
     if not all(times.values()):

@@ -1,7 +1,4 @@
-"""Framing: frames of a client in, JSON objects out; and long frames of the server cut into fragments.
-
-Most frames are one JSON object. Some clients run several together, cut one into several frames, or send something
-in front of it; some send BSON. All of it is read in a time that grows with its length alone.
+"""Framing: where an object ends, fragments of long frames, and frames of a stream that has none.
 
 A fragment is a piece of a long frame, sent as an operation of its own (rosbridge protocol, section 3.1.1).
 
@@ -18,10 +15,6 @@ from protocol.errors import FrameError, OperationError
 from protocol.limits import Limits
 from protocol.operations import Fragment
 
-# Start of an object: garbage seldom has a brace with a key, or nothing, behind it. At the end of the received data
-# the rest may be still to come.
-_START = re.compile(rb'\{(?=[ \t\r\n]*+(?:["}]|\Z))')
-
 # Nothing below is tried twice: groups are atomic. The rest of a text whose quote has been passed; what has no brace
 # that counts; and, so that a long list of small objects is read quickly, whole objects as well. Repeated groups are
 # bounded, and matched again where they end: each time costs 100 bytes while the match lasts. They are not possessive,
@@ -36,92 +29,6 @@ _OUTSIDE_TEXT = re.compile(
 )
 
 _QUOTE, _OPEN = b'"{'
-
-# How much of something else may stand in front of an object: what clients send there is a few bytes, and to look
-# through ten megabytes of braces takes a third of a second.
-MAX_LEADING_BYTES = 1_024
-
-# A frame that holds more of them than this is not worth reading on, nor its refusals logging.
-MAX_REFUSALS_PER_FRAME = 8
-
-
-class FrameReader:
-    """Reads the frames of one client; ``last_was_bson`` decides whether the answers are BSON."""
-
-    def __init__(self, limits: Limits) -> None:
-        self.last_was_bson = False
-        self._limits = limits
-        # What begins with an object whose end has not come yet, and how far its end has been looked for.
-        self._pending = bytearray()
-        self._end = ObjectEnd()
-
-    @property
-    def between_objects(self) -> bool:
-        """True when the next frame is read by itself, and the client speaks JSON."""
-        return not self._pending and not self.last_was_bson
-
-    def feed(self, frame: str | bytes) -> list[object | FrameError]:
-        """Return the values that end in this frame, in order; an error stands for a value that cannot be decoded."""
-        self.last_was_bson = isinstance(frame, bytes) and bson.is_document(frame)
-        try:
-            if isinstance(frame, bytes) and self.last_was_bson:
-                return [bson.decode(frame)]
-            value = json.decode(frame)
-        except FrameError as error:
-            return [error] if self.last_was_bson else self._read_on(frame, error)
-        if not self._pending:
-            return [value]
-        # Behind an operation the pending object never ends; any other value may belong into its middle.
-        if isinstance(value, dict) and "op" in value:
-            return [*self._give_up(), value]
-        return self._read_on(frame, FrameError("not an operation"))
-
-    def _read_on(self, frame: str | bytes, error: FrameError) -> list[object | FrameError]:
-        """Look for objects in what came before and this frame, which is none by itself."""
-        try:
-            data = frame if isinstance(frame, bytes) else frame.encode()
-        except UnicodeEncodeError:
-            return [error]
-        size_bytes = len(self._pending) + len(data)
-        if size_bytes > self._limits.max_message_bytes:
-            self._pending.clear()
-            problem = f"an object without an end after {size_bytes} bytes, the limit is"
-            return [FrameError(f"{problem} {self._limits.max_message_bytes}")]
-        found = self._find_objects(data)
-        return found if found or self._pending else [error]
-
-    def _find_objects(self, data: bytes) -> list[object | FrameError]:
-        found: list[object | FrameError] = []
-        refusals = 0
-        opened = bool(self._pending)
-        self._pending += data
-        while opened or self._open():
-            opened = False
-            try:
-                if not self._end.find(self._pending):
-                    return found
-                found.append(json.decode(bytes(self._pending[: self._end.position])))
-            except FrameError as error:
-                found.append(error)
-                refusals += 1
-            del self._pending[: self._end.position]
-            if refusals == MAX_REFUSALS_PER_FRAME or len(found) == self._limits.max_objects_per_frame:
-                found += self._give_up()
-        return found
-
-    def _open(self) -> bool:
-        start = _START.search(self._pending, 0, MAX_LEADING_BYTES)
-        if start is not None:
-            # The end of the search may have been taken for the end of the text.
-            start = _START.match(self._pending, start.start())
-        del self._pending[: len(self._pending) if start is None else start.start()]
-        self._end = ObjectEnd()
-        return start is not None
-
-    def _give_up(self) -> list[object | FrameError]:
-        size_bytes = len(self._pending)
-        self._pending.clear()
-        return [FrameError(f"{size_bytes} bytes in which no object ends are given up")] if size_bytes else []
 
 
 class ObjectEnd:
@@ -226,12 +133,12 @@ class Reassembly:
             return
         if self._fragments >= limits.max_fragments:
             raise _refusal(None, f"{self._fragments} fragments wait for others, which is the limit")
-        size_bytes = self._size_bytes + size_bytes_of(fragment.data)
+        size_bytes = self._size_bytes + json.size_bytes_of(fragment.data)
         if size_bytes > limits.max_message_bytes:
             raise _refusal("data", f"{size_bytes} bytes of fragments wait, the limit is {limits.max_message_bytes}")
 
     def _store(self, message: _Message, fragment: Fragment) -> None:
-        size_bytes = size_bytes_of(fragment.data)
+        size_bytes = json.size_bytes_of(fragment.data)
         message.pieces[fragment.num] = fragment.data
         message.size_bytes += size_bytes
         self._size_bytes += size_bytes
@@ -246,14 +153,6 @@ class Reassembly:
 
 def _refusal(name: str | None, problem: str) -> OperationError:
     return OperationError("fragment", name, problem)
-
-
-def size_bytes_of(frame: str | bytes) -> int:
-    """Return the size of a frame in UTF-8 [bytes]."""
-    # Text knows whether it is ASCII without being read, and most frames are.
-    if isinstance(frame, bytes) or frame.isascii():
-        return len(frame)
-    return len(frame.encode(errors="surrogatepass"))
 
 
 # A stream's first bytes tell what it is; an operation takes more in either encoding.

@@ -7,15 +7,16 @@ topics in `Session.publications` or `Session.subscriptions`, answers with `Sessi
 
 import itertools
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
-from protocol import framing, operations
+from protocol import operations
 from protocol.codecs import bson, json, png
 from protocol.dialect import Dialect
 from protocol.errors import FrameError, OperationError
-from protocol.framing import FrameReader
+from protocol.framing import ObjectEnd, Reassembly
 from protocol.limits import Limits
 from protocol.operations import Advertise, Fragment, Mark, Operation, Png
 from protocol.publication import LARGE_BYTES, EncodedMessage, Encoding, Frame, PublishedMessage, pack
@@ -53,6 +54,97 @@ class Packed:
     data: str
 
 
+# Start of an object: garbage seldom has a brace with a key, or nothing, behind it. At the end of the received data
+# the rest may be still to come.
+_START = re.compile(rb'\{(?=[ \t\r\n]*+(?:["}]|\Z))')
+
+# How much of something else may stand in front of an object: what clients send there is a few bytes, and to look
+# through ten megabytes of braces takes a third of a second.
+MAX_LEADING_BYTES = 1_024
+
+# A frame that holds more of them than this is not worth reading on, nor its refusals logging.
+MAX_REFUSALS_PER_FRAME = 8
+
+
+class FrameReader:
+    """Reads frames in linear time: of one JSON object mostly, of several, of a piece, behind other text, or of BSON."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.last_was_bson = False  # decides whether the answers are BSON
+        self._limits = limits
+        # What begins with an object whose end has not come yet, and how far its end has been looked for.
+        self._pending = bytearray()
+        self._end = ObjectEnd()
+
+    @property
+    def between_objects(self) -> bool:
+        """True when the next frame is read by itself, and the client speaks JSON."""
+        return not self._pending and not self.last_was_bson
+
+    def feed(self, frame: str | bytes) -> list[object | FrameError]:
+        """Return the values that end in this frame, in order; an error stands for a value that cannot be decoded."""
+        self.last_was_bson = isinstance(frame, bytes) and bson.is_document(frame)
+        try:
+            if isinstance(frame, bytes) and self.last_was_bson:
+                return [bson.decode(frame)]
+            value = json.decode(frame)
+        except FrameError as error:
+            return [error] if self.last_was_bson else self._read_on(frame, error)
+        if not self._pending:
+            return [value]
+        # Behind an operation the pending object never ends; any other value may belong into its middle.
+        if isinstance(value, dict) and "op" in value:
+            return [*self._give_up(), value]
+        return self._read_on(frame, FrameError("not an operation"))
+
+    def _read_on(self, frame: str | bytes, error: FrameError) -> list[object | FrameError]:
+        """Look for objects in what came before and this frame, which is none by itself."""
+        try:
+            data = frame if isinstance(frame, bytes) else frame.encode()
+        except UnicodeEncodeError:
+            return [error]
+        size_bytes = len(self._pending) + len(data)
+        if size_bytes > self._limits.max_message_bytes:
+            self._pending.clear()
+            problem = f"an object without an end after {size_bytes} bytes, the limit is"
+            return [FrameError(f"{problem} {self._limits.max_message_bytes}")]
+        found = self._find_objects(data)
+        return found if found or self._pending else [error]
+
+    def _find_objects(self, data: bytes) -> list[object | FrameError]:
+        found: list[object | FrameError] = []
+        refusals = 0
+        opened = bool(self._pending)
+        self._pending += data
+        while opened or self._open():
+            opened = False
+            try:
+                if not self._end.find(self._pending):
+                    return found
+                found.append(json.decode(bytes(self._pending[: self._end.position])))
+            except FrameError as error:
+                found.append(error)
+                refusals += 1
+            del self._pending[: self._end.position]
+            if refusals == MAX_REFUSALS_PER_FRAME or len(found) == self._limits.max_objects_per_frame:
+                found += self._give_up()
+        return found
+
+    def _open(self) -> bool:
+        start = _START.search(self._pending, 0, MAX_LEADING_BYTES)
+        if start is not None:
+            # The end of the search may have been taken for the end of the text.
+            start = _START.match(self._pending, start.start())
+        del self._pending[: len(self._pending) if start is None else start.start()]
+        self._end = ObjectEnd()
+        return start is not None
+
+    def _give_up(self) -> list[object | FrameError]:
+        size_bytes = len(self._pending)
+        self._pending.clear()
+        return [FrameError(f"{size_bytes} bytes in which no object ends are given up")] if size_bytes else []
+
+
 # A client's next operations wait while this many bytes of replies wait to be read, or this share of their bound.
 CONGESTED_BYTES = 262_144
 CONGESTED_SHARE = 0.25
@@ -87,7 +179,7 @@ class Session:
         self._send_at_once = send_at_once
         self.send_queue = SendQueue(self.limits, budget)
         self._reader = FrameReader(self.limits)
-        self._reassembly = framing.Reassembly(self.limits)
+        self._reassembly = Reassembly(self.limits)
         self._fragment_size: int | None = None
         self._fragment_ids = itertools.count(1)
         # Number of dropped messages that the client was warned of, and the time of the warning [s].
@@ -105,7 +197,7 @@ class Session:
         read a long frame, while no other frame of this client is read.
         """
         # Before decoding: an oversized frame must not cost the time and memory of its decoding.
-        size_bytes = framing.size_bytes_of(frame)
+        size_bytes = json.size_bytes_of(frame)
         if size_bytes > self.limits.max_message_bytes:
             text = f"message of {size_bytes} bytes, the limit is {self.limits.max_message_bytes}"
             return [Refusal(None, None, text)]

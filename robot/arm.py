@@ -60,9 +60,6 @@ NO_MOTION = 0  # motions are numbered from 1 on; 0 is a motion of the arm proces
 
 STATE_POLL_S = 0.02
 
-# Orders sent before the process is configured are queued; configuring takes a fraction of a second.
-MAX_EARLY_ORDERS = 16
-
 HEARTBEAT_S = 0.1  # a fifth of the shortest watchdog timeout of the arm process
 
 # Silence after which a process hangs, however busy the machine is; states come at least once a second. Counted in
@@ -174,7 +171,7 @@ class Arm(ArmClock):
         self._last_connected = self.state
 
     async def launch(self) -> None:
-        """Start the process; it opens no hardware before :meth:`start`. Orders sent until then are queued."""
+        """Start the process; it opens no hardware before :meth:`start`, and takes no orders."""
         self._starting = True
         await self._process.launch()
 
@@ -195,7 +192,7 @@ class Arm(ArmClock):
         if self._bodies is not None:
             self._process.send(self._bodies)
         if self._emergency is not None and self._emergency not in self._orders:
-            # There was no process, or it ended before it answered.
+            # There was no process with a configuration, or it ended before it answered.
             self.order(Order.EMERGENCY_STOP)
 
     def simulate(self, command: SetBodies | PauseSimulation) -> None:
@@ -325,10 +322,11 @@ class Arm(ArmClock):
         if order is Order.EMERGENCY_STOP:
             epoch = self.last_stop = STOP_EPOCHS.begin()
             self._emergency = number
-        if not self._process.order(Command(number, order, calibration, _epoch_of_request(epoch))):
+        if not self._process.configured:
             later = "; the emergency stop is made as soon as it runs" if order is Order.EMERGENCY_STOP else ""
             answered.set_result(CommandDone(number, done=False, message=f"the arm process is not running{later}"))
             return answered
+        self._process.send(Command(number, order, calibration, _epoch_of_request(epoch)))
         self._orders[number] = answered
         answered.add_done_callback(lambda _: self._orders.pop(number, None))
         timeout = asyncio.create_task(self._time_out(number, answered), name="timeout of an order to the arm")
@@ -553,7 +551,7 @@ class ArmStream:
 
 
 class ArmProcess:
-    """Arm process, configured before it takes anything but orders, and launched again after its end."""
+    """Arm process, configured before it takes anything, and launched again after its end."""
 
     def __init__(
         self,
@@ -568,7 +566,6 @@ class ArmProcess:
         self._on_exit = on_exit
         self._child: Child | None = None
         self._configured = False
-        self._early: list[Command] = []
         self.ended: asyncio.Future[None] | None = None  # end of the latest process; None before the first launch
 
     @property
@@ -578,7 +575,7 @@ class ArmProcess:
     @property
     def configured(self) -> bool:
         """True while a process runs that has its configuration."""
-        return self._configured and self._runs()
+        return self._configured and self._child is not None and self._child.running
 
     async def launch(self) -> None:
         """Start a process; it does nothing before :meth:`configure`."""
@@ -589,29 +586,15 @@ class ArmProcess:
         await self._child.connect()
 
     def configure(self, config: ArmConfig) -> None:
-        """Send a running process its configuration, then the queued orders."""
-        if self._child is None or not self._runs():
-            return
-        self._configured = True
-        self._child.send(config)
-        early, self._early = self._early, []
-        for command in early:
-            self._child.send(command)
+        """Send a running process its configuration."""
+        if self._child is not None and self._child.running:
+            self._configured = True
+            self._child.send(config)
 
     def send(self, message: object) -> None:
         """Send a message; dropped while no configured process runs."""
         if self._child is not None and self._configured:
             self._child.send(message)
-
-    def order(self, command: Command) -> bool:
-        """Send an order, or queue it for a process that is not configured yet; return False for neither."""
-        if not self._runs() or (not self._configured and len(self._early) >= MAX_EARLY_ORDERS):
-            return False
-        if self._configured:
-            self.send(command)
-        else:
-            self._early.append(command)
-        return True
 
     @property
     def ending(self) -> str:
@@ -629,12 +612,8 @@ class ArmProcess:
         if self._child is not None:
             await self._child.kill()
 
-    def _runs(self) -> bool:
-        return self._child is not None and self._child.running
-
     def _exited(self) -> None:
         self._configured = False
-        self._early.clear()
         if self.ended is not None and not self.ended.done():
             self.ended.set_result(None)
         # The socket of this process, which is closed behind this call, belongs to the next one.

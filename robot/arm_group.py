@@ -272,7 +272,8 @@ def joined_state(
     known = [state for state in present if state.position_rad is not None] if readings is None else readings
     # Joints of an arm that does not move are held, or stay, where they are read.
     any_holds = any(state.goal_rad is not None for state in known)
-    leading = max((state for state in present if state.motions), key=lambda state: state.remaining_s, default=None)
+    moving = [state for state in present if state.motions]
+    leading = max(moving, key=lambda state: max(one.remaining_s for one in state.motions), default=present[0])
     modes = [state.mode for name, state in states.items() if name not in leaders or state.mode is not Mode.RELAXED]
     # The latest by the arms' clocks: the machine's clock may be set, and a lost arm's clock stands still.
     connected = [state for state in present if state.mode is not Mode.DISCONNECTED]
@@ -291,11 +292,8 @@ def joined_state(
         load=_joined(known, lambda state: state.load),
         current_a=_joined(known, lambda state: state.current_a),
         goal_rad=_joined(known, _held_rad) if any_holds else None,
-        motion_id=None if leading is None else leading.motion_id,
-        fraction=0.0 if leading is None else leading.fraction,
-        remaining_s=0.0 if leading is None else leading.remaining_s,
         motions=tuple(motion for state in present for motion in state.motions),
-        pace=replace((leading or present[0]).pace, speed_limit=min(state.pace.speed_limit for state in present)),
+        pace=replace(leading.pace, speed_limit=min(state.pace.speed_limit for state in present)),
         lateness_s=tuple(late_s for state in present for late_s in state.lateness_s),
         clock_s=min(state.clock_s for state in present),
         torque_enabled=all(state.torque_enabled for state in present),

@@ -4,9 +4,10 @@ First the server's (configuration, motions, streams, pace, orders), then the arm
 states, health).
 """
 
+import logging
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from enum import Enum
 from typing import Any
 
@@ -18,6 +19,8 @@ from robot.faults import Fault, ServoWarning
 from robot.hardware.config import HardwareConfig
 from robot.physics.bodies import BodyStates
 from robot.trajectory import Trajectory, Vector
+
+log = logging.getLogger("armbridge.arm")
 
 # Least speed limit: below it a joint moves less than a servo's tick in a period of the control loop.
 MIN_SPEED_LIMIT = 0.01
@@ -34,7 +37,7 @@ class Frequent:
 
 
 def within(default: float, lowest: float, highest: float) -> Any:
-    """Make the field of a number that the arm process takes within a range only; its default stands for any other."""
+    """Make the field of a number that the arm process takes within a range only: see :func:`checked`."""
     return field(default=default, metadata={"range": (lowest, highest)})
 
 
@@ -117,6 +120,23 @@ class ArmConfig:
     speed_limit: float = within(1.0, MIN_SPEED_LIMIT, 1.0)
     fault: Fault | None = None  # fault latched by an earlier arm process and not yet reset
     last_stop: int = 0  # stop epoch of the last stop before the process began
+
+
+def checked(config: ArmConfig) -> ArmConfig:
+    """Return the configuration with every number that is out of its range replaced by its default."""
+    guard_limits = replace(config.guard_limits, **_corrections(config.guard_limits))
+    return replace(config, guard_limits=guard_limits, **_corrections(config))
+
+
+def _corrections(values: ArmConfig | GuardLimits) -> dict[str, Any]:
+    """Return the defaults of the values that are out of their ranges, by field; NaN is out of every range."""
+    found = {}
+    for each in filter(lambda each: each.metadata, fields(values)):
+        least, most = each.metadata["range"]
+        if not least <= getattr(values, each.name) <= most:
+            log.error("%s must be %g to %g; it is taken as %g", each.name, least, most, each.default)
+            found[each.name] = each.default
+    return found
 
 
 @dataclass(frozen=True)
@@ -338,10 +358,7 @@ class ArmState(Frequent):
     load: Vector | None = None  # share of full motor duty, signed, -1..1, shape (joints,)
     current_a: Vector | None = None  # motor current, signed, shape (joints,) [A]
     goal_rad: Vector | None = None  # commanded, shape (joints,)
-    motion_id: int | None = None  # motion in progress, of several the motion with most joints; None at rest
-    fraction: float = 0.0  # share of the motion that is done, 0..1
-    remaining_s: float = 0.0  # time left to the end of the motion [s]
-    motions: tuple[MotionProgress, ...] = ()
+    motions: tuple[MotionProgress, ...] = ()  # motions in progress
     pace: Pace = Pace()
     # Start of the latest ticks after their deadlines, one value each [s].
     lateness_s: tuple[float, ...] = field(default=())

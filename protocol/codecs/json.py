@@ -49,6 +49,14 @@ def decode(frame: str | bytes) -> object:
     return value
 
 
+def size_bytes_of(frame: str | bytes) -> int:
+    """Return the size of a frame in UTF-8 [bytes]."""
+    # Text knows whether it is ASCII without being read, and most frames are.
+    if isinstance(frame, bytes) or frame.isascii():
+        return len(frame)
+    return len(frame.encode(errors="surrogatepass"))
+
+
 def is_light(frame: str) -> bool:
     """Return True for a long frame that is decoded and encoded quickly: 1 MiB in a millisecond."""
     # Text that is not ASCII, or is escaped so, is escaped character by character on its way out.

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot.control.pacing import PERIOD_S
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
@@ -19,11 +18,10 @@ from robot.hardware.feetech.registers import (
     TELEMETRY_BYTES,
     VOLT_PER_UNIT,
     Register,
-    Telemetry,
-    parse_telemetry,
 )
 from robot.hardware.interface import Steps, run_to_end
 from robot.hardware.servos import bus as servo_bus
+from robot.trajectory import PERIOD_S
 
 # Register BAUD_RATE 0 to 7 (Feetech's memory table); the SDK has no name for 76800.
 BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400)
@@ -108,15 +106,6 @@ def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
     return ScanResult(tuple(servos), tuple(unsteady), garbled)
 
 
-def read_telemetry(bus: Bus, servo_id: int) -> Telemetry:
-    attempts = 3  # as a single read of the bus
-    for _ in range(attempts):
-        frame = bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES).get(servo_id)
-        if frame is not None:
-            return parse_telemetry(frame.data)
-    raise NoReply(servo_id, attempts)
-
-
 def explain_missing(result: ScanResult, joints: Sequence[ServoSpec]) -> list[str]:
     """Explain missing and unsteady servos, a sentence each; joints are in the order of the chain."""
     present = [joint.servo_id in result.ids for joint in joints]
@@ -186,15 +175,3 @@ def measure_cycles(
     p50_s, p99_s = np.percentile(round_trips or [np.nan], [50, 99]).tolist()
     expected = cycles * len(servo_ids)
     return CycleTimes(cycles, p50_s, p99_s, float(np.percentile(lateness, 99)), expected - replies, expected)
-
-
-def measure_reads(
-    bus: Bus, servo_id: int, address: int, length: int, count: int, clock: Callable[[], float] = time.monotonic
-) -> list[float]:
-    """Measure round trips of reads of one servo; return the times of the valid replies, sorted [s]."""
-    taken = []
-    for _ in range(count):
-        start_s = clock()
-        if servo_id in bus.sync_read((servo_id,), address, length):
-            taken.append(clock() - start_s)
-    return sorted(taken)

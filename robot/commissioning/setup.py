@@ -27,7 +27,7 @@ from robot.errors import BackupError, NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import ServoProfile
-from robot.hardware.feetech.registers import EPROM, MODELS, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.hardware.feetech.registers import EPROM, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
 
@@ -240,17 +240,6 @@ def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[ServoRegi
     return [ServoRegisters(each, line.run(read_registers(bus, each)), baudrate) for each in sorted(heard)]
 
 
-def check_model(servo: ServoRegisters, joint: ServoSpec) -> None:
-    """Raise StartupError for a servo of an unknown model, whose registers may have other meanings."""
-    model = servo[Register.MODEL_NUMBER]
-    if model not in MODELS.values() and str(model) != joint.model:
-        known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
-        raise StartupError(
-            f"servo {servo.servo_id} is model {model}, not one of {known}: if it is a clone with their registers, "
-            f'write model = "{model}" for it into the robot.toml of the arm'
-        )
-
-
 def supply_complaint(servo: ServoRegisters) -> str:
     """Return a sentence about a supply that the servo is not made for, empty for a good one."""
     lowest, highest = servo.voltage_limits_v
@@ -364,7 +353,7 @@ class _Writer:
             yield 0.0
             # The servo may acknowledge with either id.
             with contextlib.suppress(NoReply):
-                bus.write(self.servo_id, Register.ID, new_id, attempts=1)
+                bus.write(self.servo_id, Register.ID, new_id)
             with contextlib.suppress(NoReply):
                 if (yield from read(bus, new_id, Register.ID)) == new_id:
                     self.servo_id = new_id

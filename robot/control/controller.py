@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from robot.control.checks import names_refusal, refusal
 from robot.control.guards import Guards, Persistence
 from robot.control.motion import Motion, Streaming, splice, splice_refusal
 from robot.control.pacing import MAX_TICK_S
@@ -31,7 +30,7 @@ from robot.messages import (
     Setpoint,
     Stream,
 )
-from robot.trajectory import Vector
+from robot.trajectory import Vector, names_refusal, refusal
 
 # Step bound of one tick as a multiple of what the velocity limit allows: leaves room for one late tick.
 STEP_MARGIN = 1.5
@@ -112,11 +111,6 @@ class ArmController:
     def resting(self) -> bool:
         """True while nothing moves, and nothing is about to."""
         return not self.moving and (not self.torque_enabled or self._hold_rad.tolist() == self.goal_rad.tolist())
-
-    @property
-    def motion(self) -> Motion | Streaming | None:
-        """Motion in progress; of several, the motion with most joints."""
-        return max(self.motions, key=lambda motion: len(motion.columns), default=None)
 
     @property
     def progress(self) -> tuple[MotionProgress, ...]:

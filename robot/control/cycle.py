@@ -127,8 +127,6 @@ def arm_state(
     )
     if controller is None:
         return state
-    if (motion := controller.motion) is not None:
-        state = replace(state, motion_id=motion.motion_id, fraction=motion.fraction, remaining_s=motion.remaining_s)
     return replace(
         state,
         goal_rad=controller.goal_rad,

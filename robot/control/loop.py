@@ -10,14 +10,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
-from robot.control.checks import checked
-from robot.control.pacing import MAX_TICK_S, PERIOD_S, LoopClock, Pacer, Scheduling, SimulationClock, enter_realtime
+from robot.control.pacing import MAX_TICK_S, LoopClock, Pacer, Scheduling, SimulationClock, enter_realtime
 from robot.control.supervisor import FIRST_RETRY_S, LONGEST_RETRY_S, Supervisor
 from robot.description.limits import JointBounds
 from robot.errors import RobotError, StartupError
 from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.hardware.interface import HardwareInterface
-from robot.messages import ArmConfig, Command, Execute, Order, Stop
+from robot.messages import ArmConfig, Command, Execute, Order, Stop, checked
+from robot.trajectory import PERIOD_S
 
 if TYPE_CHECKING:
     from robot.hardware.servos.family import ServoFamily

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization
 from ruckig import Trajectory as RuckigTrajectory
 
-from robot.control import checks
 from robot.description.limits import JointBounds
 from robot.messages import Commanded, Execute, GuardLimits, MotionEnded, Outcome, Stream
-from robot.trajectory import TIME_TO_FULL_ACCELERATION_S, Trajectory, Vector
+from robot.trajectory import TIME_TO_FULL_ACCELERATION_S, VELOCITY_TOLERANCE, Trajectory, Vector, refusal
 
 LEAST_SPEED_RAD_S = 1e-3  # slower targets count as rest: this is a servo's tick in two seconds
 
@@ -299,7 +298,7 @@ class Motion:
 
     def limit_speed(self, share: float) -> None:
         """Play it slower, so that no joint exceeds a share of its velocity limit by more than VELOCITY_TOLERANCE."""
-        planned = self._peak_share <= share * checks.VELOCITY_TOLERANCE
+        planned = self._peak_share <= share * VELOCITY_TOLERANCE
         self._fastest = 1.0 if planned else share / self._peak_share
 
     def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
@@ -354,7 +353,7 @@ def splice_refusal(
         return f"motion {former.motion_id} is one of other joints, or a grip: none can take its place"
     begins_rad = goal_rad.copy()
     begins_rad[former.columns] = former.trajectory.sample(continues.from_s)[0]
-    reason = checks.refusal(command.trajectory, names, bounds, begins_rad, in_motion=True)
+    reason = refusal(command.trajectory, names, bounds, begins_rad, in_motion=True)
     if reason or former.can_splice(command.trajectory, continues.from_s):
         return reason
     return f"motion {former.motion_id} is no longer where another could take its place"

@@ -19,10 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from robot.hardware.config import ClockReading
+from robot.trajectory import PERIOD_S
 
 log = logging.getLogger("armbridge.arm")
-
-PERIOD_S = 0.01
 
 # A tick that is brought forward comes this share of a period after the last, or later. At 1 Mbit/s six servos are read
 # and given their goals within 2 ms, and a USB adapter takes another.

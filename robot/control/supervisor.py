@@ -12,7 +12,7 @@ import numpy as np
 from robot.control.controller import RELAXING, ArmController
 from robot.control.cycle import ControlCycle, arm_health, arm_state
 from robot.control.orders import Orders
-from robot.control.pacing import PERIOD_S, LoopClock, Pacer, Scheduling
+from robot.control.pacing import LoopClock, Pacer, Scheduling
 from robot.control.parking import Parking, Stage
 from robot.errors import PortError, RobotError
 from robot.faults import Fault, FaultCode
@@ -45,6 +45,7 @@ from robot.messages import (
 )
 from robot.physics.bodies import SetBodies
 from robot.stop_epochs import STOPPED_SINCE
+from robot.trajectory import PERIOD_S
 
 log = logging.getLogger("armbridge.arm")
 

@@ -79,15 +79,14 @@ class JointBounds:
             self.lower_rad[columns], self.upper_rad[columns], self.max_velocity[columns], self.max_acceleration[columns]
         )
 
-    def within_servos(self, calibration: Calibration, angle_limits_ticks: Mapping[int, tuple[int, int]]) -> JointBounds:
-        """Narrow the soft limits to the servos' own angle limits by id [ticks], less the margin; (0, 0) means none.
+    def within_servos(self, calibration: Calibration, limits_ticks: Mapping[int, tuple[int, int]]) -> JointBounds:
+        """Narrow the soft limits to the servos' own limits of goals by id [ticks], less the margin.
 
         Raises DescriptionError where nothing is left of a joint's range.
         """
         ranges = []
         for joint in calibration.joints:
-            limits_ticks = angle_limits_ticks[joint.servo_id]
-            low, high = (-np.inf, np.inf) if limits_ticks == (0, 0) else sorted(map(joint.rad_from_ticks, limits_ticks))
+            low, high = sorted(map(joint.rad_from_ticks, limits_ticks[joint.servo_id]))
             ranges.append((low + END_STOP_MARGIN_RAD, high - END_STOP_MARGIN_RAD))
         lower = np.maximum(self.lower_rad, [low for low, _ in ranges])
         upper = np.minimum(self.upper_rad, [high for _, high in ranges])
@@ -95,7 +94,7 @@ class JointBounds:
             if low >= high:
                 raise DescriptionError(
                     f"servo {joint.servo_id} ({joint.joint})",
-                    f"has the angle limits {angle_limits_ticks[joint.servo_id]} ticks, which leave nothing of the "
+                    f"has the angle limits {limits_ticks[joint.servo_id]} ticks, which leave nothing of the "
                     "joint's range: write the calibration to the servos",
                 )
         return replace(self, lower_rad=lower, upper_rad=upper)

@@ -17,11 +17,10 @@ import numpy as np
 from planners.problem import MoveItErrorCode, PlanningFailure
 from protocol.messages import ListLimits, Stamp
 from protocol.publication import PublishedMessage
-from robot.control.checks import refusal
 from robot.description.limits import JointBounds, motion_limits
 from robot.description.model import Group, RobotModel
 from robot.stop_epochs import STOP_EPOCHS
-from robot.trajectory import Trajectory, Vector
+from robot.trajectory import Trajectory, Vector, refusal
 from server.access.control_lease import ControlLease
 from server.arrival import arrival_epoch, arrived_in
 from server.chunks.targets import SAMPLE_S, Blend, Targets, blended, deviation_rad, follow

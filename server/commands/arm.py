@@ -16,7 +16,6 @@ from robot.commissioning.scan import (
     ServoRegisters,
     explain_missing,
     measure_cycles,
-    measure_reads,
     scan,
 )
 from robot.description.servo_table import ServoSpec
@@ -152,9 +151,10 @@ def examine_bus(
     if present:
         terminal.say(f"measuring {CYCLES} cycles at 100 Hz ...")
         findings += judge_cycles(measure_cycles(bus, present, CYCLES))
-        attempts = 5  # a single reply may get lost
-        silent = [i for i in present if not measure_reads(bus, i, LONG_READ_ADDRESS, LONG_READ_BYTES, attempts)]
-        findings.append(judge_long_reads(LONG_READ_ADDRESS, LONG_READ_BYTES, silent))
+        block = LONG_READ_ADDRESS, LONG_READ_BYTES
+        attempts = range(5)  # a single reply may get lost
+        silent = [servo for servo in present if not any(bus.sync_read((servo,), *block) for _ in attempts)]
+        findings.append(judge_long_reads(*block, silent))
     return result, findings
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robot.calibration import Calibration, new_calibration_path, reserved, save
-from robot.commissioning.scan import explain_missing, read_telemetry, scan
+from robot.commissioning.scan import explain_missing, scan
 from robot.commissioning.session import HOLD, WRITE, Act, CalibrationSession, Step, asked_motions
 from robot.description import robot_folder
 from robot.description.servo_table import ServoSpec
@@ -142,7 +142,7 @@ class _Conversation:
             if act is Act.RELAX:
                 if relax_arm(self.bus, session.servos, terminal) is not ExitCode.DONE:
                     return ExitCode.FAILED
-                ticks = {servo_id: read_telemetry(self.bus, servo_id).position_ticks for servo_id in self.ids}
+                ticks = {servo_id: self.bus.read(servo_id, Register.PRESENT_POSITION) for servo_id in self.ids}
                 session.begin(ticks, self.offsets)
             elif act is Act.WRITE:
                 self._write()

@@ -18,7 +18,6 @@ from robot.commissioning.setup import (
     ServoLine,
     changes_back,
     changes_for,
-    check_model,
     look,
     match_saved,
     needs_writing,
@@ -32,6 +31,7 @@ from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply, PortError, StartupError
 from robot.hardware.boards import resolve_port
 from robot.hardware.feetech.bus import Bus
+from robot.hardware.feetech.family import check_model
 from robot.hardware.feetech.profiles import PROFILES, ServoProfile, nearest_profile, profile_of
 from robot.hardware.feetech.registers import Register
 from server.commands.arm import relax_arm
@@ -217,7 +217,7 @@ class _Visit:
         return self.own_profile or nearest_profile((servo.registers, joint.gripper) for joint, servo in servos)
 
     def _work(self, joint: ServoSpec, servo: ServoRegisters, profile: ServoProfile) -> _Work:
-        check_model(servo, joint)
+        check_model(servo.servo_id, joint, servo[Register.MODEL_NUMBER])
         return _Work(joint.joint, servo, changes_for(servo, joint, profile))
 
     def _carry_out(self, work: Sequence[_Work]) -> None:

@@ -28,10 +28,9 @@ from planners.problem import (
     RecheckQuestion,
 )
 from robot.arm_group import AnyArm
-from robot.control.pacing import PERIOD_S
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
-from robot.trajectory import Trajectory
+from robot.trajectory import PERIOD_S, Trajectory
 from server.errors import RefusedError, refused
 from server.execution.confirmation import Confirmation
 from server.execution.failures import with_nearest_goal

@@ -26,11 +26,10 @@ from planners.problem import (
     PlanningProblem,
 )
 from planners.scene import EMPTY_SCENE, Scene
-from robot.control.pacing import PERIOD_S
 from robot.description.limits import motion_limits
 from robot.description.model import RobotModel
 from robot.messages import MotionEnded
-from robot.trajectory import Trajectory, bridge
+from robot.trajectory import PERIOD_S, Trajectory, bridge
 from server.errors import RefusedError, refused
 
 # Names of joints.

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from ruckig import RuckigError
 
-from robot.control.checks import VELOCITY_TOLERANCE, refusal
 from robot.description.limits import JointBounds, motion_limits
 from robot.description.model import Group, RobotModel
-from robot.trajectory import Trajectory, Vector, bridge
+from robot.trajectory import VELOCITY_TOLERANCE, Trajectory, Vector, bridge, refusal
 from server.errors import RefusedError, invalid, invalid_plan
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.moveit.messages import Message

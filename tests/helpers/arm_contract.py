@@ -166,7 +166,8 @@ class ArmContract:
         assert len(numbers) == len(set(numbers)) == 4
         states = place.arm.states[seen:]
         for motion in numbers:
-            fractions = [each.fraction for each in states if each.mode is Mode.MOVING and each.motion_id == motion]
+            moving = [one for each in states if each.mode is Mode.MOVING for one in each.motions]
+            fractions = [one.fraction for one in moving if one.motion_id == motion]
             assert fractions == sorted(fractions) != []
         assert [state.stamp_s for state in states] == sorted(state.stamp_s for state in states)
 

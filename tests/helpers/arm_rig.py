@@ -8,7 +8,7 @@ import numpy as np
 from robot import messages
 from robot.calibration import Calibration
 from robot.control.guards import ActuatorThresholds, Guards
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling
+from robot.control.pacing import Pacer, Scheduling
 from robot.control.supervisor import Supervisor
 from robot.description.limits import JointBounds, within_calibration
 from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
@@ -18,7 +18,7 @@ from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
 from robot.hardware.interface import Actuation, HardwareInterface, Measured, Steps, Survey, run_to_end
 from robot.hardware.servos.hardware import ServoHardware
-from robot.trajectory import Trajectory
+from robot.trajectory import PERIOD_S, Trajectory
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.robots import nominal_calibration, so101
 

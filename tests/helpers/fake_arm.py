@@ -49,6 +49,7 @@ class FakeArm:
         self.state_age_s = 0.0
         self.state_max_age_s = 1.0
         self.rate = 1.0
+        self.fraction = 0.0  # share of the motion in progress that is done
         self.steered = False
         self.started = asyncio.Event()
         self.started.set()
@@ -103,7 +104,7 @@ class FakeArm:
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
         if motion is not self._motion or motion.done() or self.state.mode is not Mode.MOVING:
             return None
-        return MotionProgress(1, self.state.fraction, self.state.remaining_s)
+        return MotionProgress(1, self.fraction, 0.0)
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
@@ -155,7 +156,7 @@ class FakeArm:
         motion = self.played[-1]
         positions = motion.sample(fraction * motion.duration_s)[0].tolist()
         self.put(**dict(zip(motion.joint_names, positions, strict=True)))
-        self.state = replace(self.state, fraction=fraction)
+        self.fraction = fraction
 
     def end(self, outcome: Outcome = Outcome.REACHED, message: str = "the arm is there") -> None:
         """End the motion in progress; one that is reached leaves the arm at its end."""

@@ -16,13 +16,11 @@ from planners.interface import Planners
 from planners.problem import Answer, Request
 from planners.scene import EMPTY_SCENE, Scene
 from robot.arm import Arm, ArmProcess
-from robot.control.checks import ACCELERATION_TOLERANCE, VELOCITY_TOLERANCE
-from robot.control.pacing import PERIOD_S
 from robot.description.servo_table import HardwareTable
 from robot.hardware.config import IdealConfig
-from robot.messages import ArmState, Command, Mode, Order, Stop
+from robot.messages import ArmState, Mode, Order, Stop
 from robot.stop_epochs import STOP_EPOCHS
-from robot.trajectory import Vector
+from robot.trajectory import ACCELERATION_TOLERANCE, PERIOD_S, VELOCITY_TOLERANCE, Vector
 from server.arm.arms import ServedArm
 from server.arm.setup import Description
 from server.arrival import arrived_in
@@ -132,10 +130,6 @@ class RigProcess:
 
     def send(self, message: object) -> None:
         self._rig.supervisor.handle(message)  # type: ignore[arg-type]
-
-    def order(self, command: Command) -> bool:
-        self.send(command)
-        return True
 
 
 class RigArm(Arm):

@@ -7,13 +7,12 @@ from typing import Any
 
 from planners.pipeline import Planner
 from robot.control.loop import hardware_opener
-from robot.control.pacing import PERIOD_S
 from robot.hardware.config import EmulatedConfig
 from robot.hardware.interface import HardwareInterface
 from robot.messages import Execute, Mode, Outcome, Stop
 from robot.physics.bodies import Body, SetBodies
 from robot.physics.world import World
-from robot.trajectory import Trajectory, Vector
+from robot.trajectory import PERIOD_S, Trajectory, Vector
 from tests.helpers.arm_rig import CALIBRATION, NAMES, ROBOT, ArmRig
 
 MAX_MOTION_S = 30.0

@@ -19,8 +19,8 @@ from harness.clients import frame_client
 from harness.server import FAST, FAST_ARMS, ROOT, RunningServer
 from harness.waiting import TIMEOUT_S, running, until, wait_until
 from protocol.codecs import json
-from protocol.framing import FrameReader
 from protocol.limits import Limits
+from protocol.session import FrameReader
 from tests.helpers.programs import run
 from tests.helpers.zenoh_network import RosMachine, free_port
 

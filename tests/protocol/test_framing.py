@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.errors import FrameError, OperationError
-from protocol.framing import MAX_LEADING_BYTES, MAX_REFUSALS_PER_FRAME, FrameReader, Reassembly, StreamSplitter, split
+from protocol.framing import Reassembly, StreamSplitter, split
 from protocol.limits import Limits
 from protocol.operations import Fragment
+from protocol.session import MAX_LEADING_BYTES, MAX_REFUSALS_PER_FRAME, FrameReader
 from tests.helpers.resources import examples
 
 messages = st.recursive(

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from robot.control.pacing import PERIOD_S
 from robot.hardware.ideal import IdealArm
-from robot.trajectory import Vector
+from robot.trajectory import PERIOD_S, Vector
 from server.config import Settings
 from server.moveit.parameters import MoveItParameters
 from server.teaching.taught_motion import TaughtMotion

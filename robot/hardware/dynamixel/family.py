@@ -299,7 +299,7 @@ class Dynamixel(ServoFamily):
         """Reboot the servo, the only way to clear an error."""
         yield 0.0
         with contextlib.suppress(NoReply):
-            bus.ask(joint.servo_id, instruction_packet(joint.servo_id, INST_REBOOT), attempts=1)
+            bus.ask(joint.servo_id, instruction_packet(joint.servo_id, INST_REBOOT))
         yield REBOOT_S
         for _ in range(REBOOT_TRIES - 1):
             with contextlib.suppress(NoReply):

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from robot.calibration import Calibration, JointCalibration
+from robot.description.servo_table import ServoSpec
 from robot.errors import PortError, RobotError, StartupError
 from robot.faults import ServoAlert, ServoWarning
 from robot.hardware.feetech.bus import Bus
@@ -126,6 +127,16 @@ PHASE_MULTI_TURN = 0x10  # Register PHASE, bit 4: positions count on beyond one 
 NO_LIMITS = (0, 0)  # registers MIN_ANGLE_LIMIT and MAX_ANGLE_LIMIT of a servo without limits
 
 
+def check_model(servo_id: int, joint: ServoSpec, model: int) -> None:
+    """Raise StartupError for a servo of an unknown model, whose registers may have other meanings."""
+    if model not in MODELS.values() and str(model) != joint.model:
+        known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
+        raise StartupError(
+            f"servo {servo_id} ({joint.joint}) is model {model}, not one of {known}: if it is a clone with their "
+            f'registers, write model = "{model}" for it into the robot.toml of the arm'
+        )
+
+
 class Feetech(ServoFamily):
     """Servos of one arm, with the settings that they should have; by default the nearest known profile's."""
 
@@ -148,12 +159,7 @@ class Feetech(ServoFamily):
         self._profile = profile
 
     def check_model(self, joint: JointCalibration, model: int) -> None:
-        if model not in (_named_model(joint), *MODELS.values()):
-            known = ", ".join(f"{name.upper()} ({number})" for name, number in MODELS.items())
-            raise StartupError(
-                f"servo {joint.servo_id} ({joint.joint}) is model {model}, not one of {known}: if it is a clone with "
-                f'their registers, write model = "{model}" for it into the robot.toml of the arm'
-            )
+        check_model(joint.servo_id, joint.servo, model)
 
     def survey_blocks(self, joint: JointCalibration) -> Sequence[Block[Register]]:
         return SETTINGS_BLOCK, CONTROL

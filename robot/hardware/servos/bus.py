@@ -127,14 +127,13 @@ class ServoBus(ABC):
                 return register.decode(frame.data[:size])
         raise NoReply(servo_id, attempts)
 
-    def write(self, servo_id: int, register: RegisterEnum, value: int, attempts: int = ATTEMPTS) -> int:
+    def write(self, servo_id: int, register: RegisterEnum, value: int) -> int:
         """Write one register and return the number of the error that the servo reports, 0 for none.
 
         An acknowledgement does not repeat the value: values that matter for safety must be read back. Without one the
         servo may have taken the value. Raises ValueError for a value that the register cannot hold.
         """
-        packet = self._write_packet(servo_id, register, value)
-        return self.ask(servo_id, packet, attempts).error & self.instruction_error_bits
+        return self.ask(servo_id, self._write_packet(servo_id, register, value)).error & self.instruction_error_bits
 
     def sync_read(self, ids: Sequence[int], address: int, length: int) -> dict[int, StatusFrame]:
         """Read the same block of several servos in one transaction; return the valid replies in time, by id."""
@@ -169,15 +168,13 @@ class ServoBus(ABC):
     def _words(self, *numbers: int) -> list[int]:
         return [number >> 8 * place & 0xFF for number in numbers for place in range(self.word_bytes)]
 
-    def ask(self, servo_id: int, packet: list[int], attempts: int) -> StatusFrame:
-        """Send an instruction whose reply carries no data, until the servo replies; raises NoReply."""
-        for attempt in range(attempts):
-            self.counters.retries += attempt > 0
-            self._await_quiet()
-            frame = self._exchange(packet, (servo_id,), 0).get(servo_id)
-            if frame is not None:
-                return frame
-        raise NoReply(servo_id, attempts)
+    def ask(self, servo_id: int, packet: list[int]) -> StatusFrame:
+        """Send an instruction whose reply carries no data; raises NoReply."""
+        self._await_quiet()
+        frame = self._exchange(packet, (servo_id,), 0).get(servo_id)
+        if frame is None:
+            raise NoReply(servo_id, 1)
+        return frame
 
     def _exchange(self, packet: list[int], ids: Sequence[int], data_length: int) -> dict[int, StatusFrame]:
         self._send(packet)
@@ -278,7 +275,7 @@ def write_verified(bus: ServoBus, servo_id: int, register: RegisterEnum, value: 
         yield 0.0
         bus.counters.retries += attempt > 0
         with contextlib.suppress(NoReply):
-            error = bus.write(servo_id, register, value, attempts=1)
+            error = bus.write(servo_id, register, value)
         if (yield from read(bus, servo_id, register)) == value:
             return
     reported = f", and reports error {error}" if error else ""

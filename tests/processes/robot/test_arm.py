@@ -106,6 +106,19 @@ async def test_an_emergency_stop_that_finds_no_process_or_a_dying_one_is_made_by
     assert not restarted.arm.state.torque_enabled
 
 
+async def test_an_emergency_stop_before_the_process_has_its_configuration_is_made_as_soon_as_it_has(
+    tmp_path: Path,
+) -> None:
+    early = ArmOnServos(tmp_path)
+    await early.arm.launch()
+    answer = await asyncio.wait_for(early.arm.order(Order.EMERGENCY_STOP), TIMEOUT_S)
+    assert (answer.done, "is made as soon as it runs" in answer.message) == (False, True)
+    await early.arm.start(TIMEOUT_S)
+    await until(lambda: early.arm.state.mode is Mode.FAULT)
+    assert not early.arm.state.torque_enabled
+    await early.arm.close()
+
+
 async def test_an_order_to_a_hanging_process_is_answered(rig: ArmOnServos, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robot.arm.ORDER_TIMEOUT_S", 0.1)
     monkeypatch.setattr("robot.arm.SILENT_S", 0.3)

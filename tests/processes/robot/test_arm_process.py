@@ -11,7 +11,7 @@ import pytest
 import pytest_asyncio
 
 from harness.waiting import TIMEOUT_S, until
-from robot.arm import MAX_EARLY_ORDERS, ArmProcess, ArmStream, start_arm_process
+from robot.arm import ArmProcess, ArmStream, start_arm_process
 from robot.hardware.config import SerialConfig
 from robot.messages import ArmConfig, ArmState, Command, CommandDone, Mode, MotionEnded, Order, Outcome, Setpoint
 from robot.processes import StartedChild
@@ -45,15 +45,14 @@ async def rig() -> AsyncIterator[ProcessRig]:
     await made.process.kill()
 
 
-async def test_orders_that_come_before_the_configuration_are_kept_for_it_up_to_a_bound(rig: ProcessRig) -> None:
-    # What else is said does not take its place.
-    rig.process.send("hello")
-    kept = [rig.process.order(Command(number, Order.EMERGENCY_STOP)) for number in range(MAX_EARLY_ORDERS + 1)]
-    assert (kept, rig.process.configured) == ([True] * MAX_EARLY_ORDERS + [False], False)
+async def test_what_is_sent_before_the_configuration_does_not_take_its_place(rig: ProcessRig) -> None:
+    rig.process.send(Command(0, Order.EMERGENCY_STOP))
+    assert not rig.process.configured
     rig.process.configure(CONFIG)
     assert "/dev/does-not-exist" in (await rig.until_message(ArmState)).reason
+    rig.process.send(Command(1, Order.EMERGENCY_STOP))
     answer = await rig.until_message(CommandDone)
-    assert (answer.number, answer.done) == (0, False)
+    assert (answer.number, answer.done) == (1, False)
     assert "not connected" in answer.message
 
 
@@ -72,11 +71,10 @@ async def test_a_process_that_was_started_ahead_is_the_first_and_only_the_first(
     assert rig.exits == 2
 
 
-async def test_a_process_that_has_died_takes_no_orders(rig: ProcessRig) -> None:
+async def test_a_process_that_has_died_is_not_configured(rig: ProcessRig) -> None:
     rig.process.configure(CONFIG)
     await rig.process.kill()
     assert (rig.exits, rig.process.configured) == (1, False)
-    assert not rig.process.order(Command(1, Order.ENABLE))
     rig.process.configure(CONFIG)
     assert not rig.process.configured
 

@@ -13,7 +13,6 @@ from robot.commissioning.scan import (
     ServoRegisters,
     explain_missing,
     measure_cycles,
-    measure_reads,
     scan,
 )
 from robot.hardware.feetech.bus import status_bytes
@@ -64,13 +63,8 @@ def test_cycles_begin_at_the_rate_of_the_control_loop_and_a_late_machine_is_repo
     assert times.lateness_p99_s == pytest.approx(late_s, abs=1e-6)
 
 
-def test_every_lost_reply_is_counted_and_reads_of_one_servo_are_timed_shortest_first(bus, emulator):
-    taken = measure_reads(bus, 3, 56, 15, 8, emulator.clock)
-    assert taken == sorted(taken)
-    assert wire_time_s(status_bytes(15), 1_000_000) < taken[0] <= taken[-1] < 0.005
-    assert len(taken) > 4
+def test_every_lost_reply_is_counted(bus, emulator):
     emulator.command(offline=[3])
-    assert measure_reads(bus, 3, 56, 15, 2, emulator.clock) == []
     times = measure_cycles(bus, IDS, 10, emulator.clock, emulator.run)
     assert times.lost_replies >= 10
     assert math.isnan(times.round_trip_p50_s)

@@ -7,6 +7,7 @@ import pytest
 from harness.server import read_write_log
 from robot.commissioning import setup
 from robot.errors import BackupError, PortLost, StartupError
+from robot.hardware.feetech.family import check_model
 from robot.hardware.feetech.profiles import FACTORY, LEROBOT
 from robot.hardware.feetech.registers import Register
 from tests.helpers.kit import KIT, Kit, set_registers
@@ -110,12 +111,10 @@ def test_a_calibrated_joint_is_never_offered_for_another_and_missing_limits_and_
 
 def test_an_unknown_model_is_refused_with_the_way_round_and_a_supply_that_the_servo_is_not_made_for_is_said(kit):
     kit.plug(5)
-    servo = find(kit, GRIPPER)
-    setup.check_model(servo, GRIPPER)
-    unknown = replace(servo, registers={**servo.registers, Register.MODEL_NUMBER: 1234})
+    check_model(5, GRIPPER, 777)
     with pytest.raises(StartupError, match=r'model 1234.* write model = "1234" for it'):
-        setup.check_model(unknown, GRIPPER)
-    setup.check_model(unknown, replace(GRIPPER, model="1234"))
+        check_model(5, GRIPPER, 1234)
+    check_model(5, replace(GRIPPER, model="1234"), 1234)
     for supply_v, words in ((5.0, ""), (12.1, "burn out"), (3.5, "too weak")):
         kit.emulator.command(supply=supply_v)
         complaint = setup.supply_complaint(find(kit, GRIPPER))

@@ -168,9 +168,7 @@ def test_a_motion_has_the_share_of_the_torque_limit_that_it_asks_for_above_0_to_
 def test_the_stop_of_one_motion_lets_another_go_on(rig: Rig) -> None:
     rig.controller.execute(Execute(2, move(gripper=(0.0, 0.5))))
     rig.move_pan(50)
-    assert rig.controller.motion.motion_id == 2
     rig.controller.execute(Execute(3, move(wrist_flex=(0.0, 0.5), wrist_roll=(0.0, 0.5))))
-    assert rig.controller.motion.motion_id == 3
     rig.controller.stop(1)
     rig.run(20)
     rig.controller.stop(3)

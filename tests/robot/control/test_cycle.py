@@ -6,12 +6,12 @@ import numpy as np
 
 from robot.control.controller import ArmController
 from robot.control.cycle import ControlCycle, ErrorCounts
-from robot.control.pacing import PERIOD_S
 from robot.faults import Fault, FaultCode
 from robot.hardware.config import IdealConfig
 from robot.hardware.feetech.registers import Register
 from robot.hardware.ideal import IdealArm
 from robot.hardware.interface import StatusFlag
+from robot.trajectory import PERIOD_S
 from tests.helpers.arm_rig import BOUNDS, NAMES, ArmRig, guards, reading
 from tests.helpers.emulator import SteppedClock
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from robot.control.controller import ArmController
-from robot.control.pacing import PERIOD_S
 from robot.faults import FaultCode
 from robot.messages import EmergencyPolicy, Mode, Order, Outcome
+from robot.trajectory import PERIOD_S
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, ArmRig
 from tests.helpers.motions import smooth_move
 

@@ -14,8 +14,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from robot.control import pacing
-from robot.control.pacing import PERIOD_S, Pacer, SimulationClock
+from robot.control.pacing import Pacer, SimulationClock
 from robot.hardware.config import ClockReading
+from robot.trajectory import PERIOD_S
 
 # Two periods.
 MAX_TICK_S = 0.02

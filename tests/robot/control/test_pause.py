@@ -5,10 +5,11 @@ from functools import cached_property
 import pytest
 
 from robot.control.loop import hardware_opener
-from robot.control.pacing import PERIOD_S, Pacer, SimulationClock
+from robot.control.pacing import Pacer, SimulationClock
 from robot.hardware.config import EmulatedConfig
 from robot.messages import ArmState, Execute, Mode, Order, Outcome, PauseSimulation, Shutdown, Stop
 from robot.physics.bodies import Body, BodyShape, SetBodies
+from robot.trajectory import PERIOD_S
 from tests.helpers.arm_rig import CALIBRATION, STEPS_A_TICK, ArmRig
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move

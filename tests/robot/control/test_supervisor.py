@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot.control.cycle import ControlCycle
-from robot.control.pacing import PERIOD_S, Pacer, Scheduling
+from robot.control.pacing import Pacer, Scheduling
 from robot.control.supervisor import arm_health, arm_state
 from robot.description.limits import within_calibration
 from robot.emulator.populations import POPULATIONS
@@ -32,6 +32,7 @@ from robot.messages import (
     Stop,
     Stream,
 )
+from robot.trajectory import PERIOD_S
 from tests.helpers.arm_rig import CALIBRATION, METAL, NAMES, ArmRig, unread_hardware
 from tests.helpers.emulator import SteppedEmulator
 from tests.helpers.motions import smooth_move
@@ -73,7 +74,7 @@ def test_a_state_has_the_time_of_its_tick_and_health_once_a_second_the_limits_in
     rig.sent.clear()
     rig.until(lambda: any(isinstance(each, ArmState) for each in rig.sent))
     assert rig.state.tick_s == rig.clock()
-    assert (rig.state.motion_id, rig.state.fraction, rig.state.remaining_s) == (None, 0.0, 0.0)
+    assert rig.state.motions == ()
     rig.run(1.1)
     assert [joint.joint for joint in rig.health.joints] == list(NAMES)
     assert rig.health.limits_rad.shape == (6, 2)

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot.control.pacing import PERIOD_S
 from robot.description import model
 from robot.description.limits import JointBounds
 from robot.hardware.config import IdealConfig
 from robot.hardware.ideal import RELAX_S, IdealArm
 from robot.hardware.interface import Measured, run_to_end
+from robot.trajectory import PERIOD_S
 from tests.helpers.emulator import SteppedClock
 
 # A rail, whose positions are metres, and a joint whose range excludes 0.

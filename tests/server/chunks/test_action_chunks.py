@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from planners.problem import MoveItErrorCode
-from robot.control.pacing import PERIOD_S
-from robot.trajectory import Vector
+from robot.trajectory import PERIOD_S, Vector
 from server.chunks.action_chunks import ACTION_TYPE, MAX_JUMP_RAD, PAUSE_S, SETTLES_S, PolicyPhase
 from server.execution.executor import CHECKS_AHEAD
 from server.execution.motions import SENDINGS_S

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from harness.full_meshes import Judge
-from robot.control.pacing import PERIOD_S
 from robot.description.limits import motion_limits
-from robot.trajectory import Vector
+from robot.trajectory import PERIOD_S, Vector
 from tests.helpers.fake_arm import HOME
 from tests.helpers.moveit import ROBOT, box, diff
 from tests.helpers.moveit import point as frame_point

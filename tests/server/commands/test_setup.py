@@ -342,10 +342,10 @@ def test_a_servo_whose_registers_cannot_be_saved_is_not_written(run_setup, kit, 
 
 
 def test_a_servo_of_an_unknown_model_is_left_alone(run_setup, kit, plug_once, monkeypatch):
-    monkeypatch.setattr("robot.commissioning.setup.MODELS", {"sts3250": 2825})
+    monkeypatch.setattr("robot.hardware.feetech.family.MODELS", {"sts3250": 2825})
     code, person = run_setup("--joint", "gripper", "--yes", plug=plug_once)
     assert (code, ids(kit)) == (ExitCode.FAILED, [1] * 6)
-    assert "servo 1 is model 777, not one of STS3250 (2825)" in person.said
+    assert "servo 1 (gripper) is model 777, not one of STS3250 (2825)" in person.said
 
 
 def test_an_arm_that_cannot_be_set_up_is_left_alone(run_setup, kit):

@@ -24,9 +24,8 @@ from planners.problem import (
     RecheckQuestion,
 )
 from planners.scene import Scene
-from robot.control.pacing import PERIOD_S
 from robot.messages import Mode, MotionEnded, Outcome, Pace, PlaybackDirection
-from robot.trajectory import Trajectory
+from robot.trajectory import PERIOD_S, Trajectory
 from server.execution import executor as execution
 from server.execution.confirmation import Confirmation
 from server.execution.executor import ExecutionContext, GoalExecutor
@@ -340,7 +339,7 @@ async def test_the_scene_monitor_asks_about_the_rest_of_the_motion_and_on_the_wa
     stage: Stage, direction: PlaybackDirection, from_s: float
 ) -> None:
     await stage.begin(given(0.0, 0.4))
-    stage.arm.state = replace(stage.arm.state, fraction=0.25, pace=Pace(direction=direction))
+    stage.arm.fraction, stage.arm.state = 0.25, replace(stage.arm.state, pace=Pace(direction=direction))
     stage.contact = WALL
     await stage.change(2)
     assert [question.from_s for question in stage.rechecked] == [0.0, from_s]

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from planners.goals import JointGoal
 from planners.problem import Deviation, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from planners.scene import EMPTY_SCENE, Scene
-from robot.control.checks import refusal
-from robot.control.pacing import PERIOD_S
 from robot.description.limits import JointBounds
+from robot.trajectory import PERIOD_S, refusal
 from server.errors import RefusedError
 from server.execution import motions
 from tests.helpers.motions import smooth_move

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot.control.pacing import PERIOD_S
+from robot.trajectory import PERIOD_S
 from server.features.context import ArmContext
 from server.features.suspension import LEAST_S, LOOK_S, Bounds, Suspension, suspended_s
 from tests.helpers.stage import RecordedStage

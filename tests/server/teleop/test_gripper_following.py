@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from protocol.publication import PublishedMessage
-from robot.control.pacing import PERIOD_S
+from robot.trajectory import PERIOD_S
 from server.datasets.export import ExportOptions, export
 from server.datasets.samples import LEADER_TOPIC, STATE_TOPIC
 from server.graph.permissions import Node

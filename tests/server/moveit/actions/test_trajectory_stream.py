@@ -12,8 +12,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from robot.control.pacing import PERIOD_S
-from robot.trajectory import Vector
+from robot.trajectory import PERIOD_S, Vector
 from server.execution.streams import STREAM_PAUSE_S
 from tests.helpers import stage as stage_module
 from tests.helpers.clock import SteppedLoop

@@ -8,11 +8,10 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from robot.control.checks import checked, refusal
 from robot.description.limits import JointBounds
 from robot.hardware.config import IdealConfig
-from robot.messages import ArmConfig, GuardLimits
-from robot.trajectory import Trajectory, rest_to_rest
+from robot.messages import ArmConfig, GuardLimits, checked
+from robot.trajectory import Trajectory, refusal, rest_to_rest
 from tests.helpers.arm_rig import NAMES
 from tests.helpers.motions import smooth_move
 from tests.helpers.robots import so101

@@ -58,12 +58,15 @@ class _Requests(Generic[AnyRequest]):
         self._offered.remove(name)
 
     def _request(self, request: AnyRequest, prefix: str, fields: dict[str, Any]) -> str | None:
-        """Send the client a request for what it offers; return its id, None when there is no room for it."""
+        """Send the client a request for what it offers; return its id, None when there is no room for it.
+
+        The fields have places for ``id`` and ``args``, in rosbridge's order.
+        """
         id_ = f"{prefix}:{fields[self._kind]}:{next(self._numbers)}"
         self._requested[id_] = request
         request.when_ended(lambda _end: self._requested.pop(id_))
-        sent = {**fields, "id": id_, "args": request.request}
-        return id_ if self._client.send_request(sent, f"{request.type_name}_{request.asked}") else None
+        fields |= {"id": id_, "args": request.request}
+        return id_ if self._client.send_request(fields, f"{request.type_name}_{request.asked}") else None
 
     def _waiting(self, operation: Operation) -> AnyRequest:
         request = self._requested.get(operation.id)
@@ -98,7 +101,7 @@ class ClientServices(_Requests[Call]):
 
     def advertise(self, operation: ops.AdvertiseService) -> None:
         def start(call: Call) -> None:
-            fields = {"op": "call_service", "service": operation.service}
+            fields = {"op": "call_service", "id": "", "service": operation.service, "args": {}}
             if self._request(call, "service_request", fields) is None:
                 call.fail(f"{call.title}: its provider does not read its calls quickly enough")
 
@@ -190,8 +193,8 @@ class ClientActions(_Requests[ActionGoal]):
         action = operation.action
 
         def start(goal: ActionGoal) -> None:
-            fields = {"op": "send_action_goal", "action": action, "action_type": operation.type, "feedback": True}
-            id_ = self._request(goal, "action_goal", fields)
+            fields = {"op": "send_action_goal", "id": "", "action": action, "action_type": operation.type}
+            id_ = self._request(goal, "action_goal", fields | {"args": {}, "feedback": True})
             if id_ is None:
                 goal.fail(f"{goal.title}: its provider does not read its goals quickly enough", GoalStatus.UNKNOWN)
                 return

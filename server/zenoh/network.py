@@ -229,7 +229,7 @@ class SharedThings(Generic[Wanted, Thing]):
                 try:
                     self._made[name] = each, self._make(name, each)
                 except GraphError as error:
-                    self._network.warn(f"{name} of another machine is not shared: {error}")
+                    self._network.warn(f"{name} is not shared: {error}")
 
     def is_shared(self, name: str, thing: Thing) -> bool:
         return name in self._made and self._made[name][1] is thing

@@ -20,7 +20,7 @@ import psutil
 
 from harness.clients import FrameClient, frame_client
 from harness.figures import print_table
-from harness.server import FAST, ROOT
+from harness.server import FAST, ROOT, free_ports
 from harness.waiting import until_classroom_ready
 
 STUDENTS = 20
@@ -131,7 +131,7 @@ async def _settled_cost(process: psutil.Process) -> Cost:
 def _classroom(arm: str) -> Iterator[tuple[psutil.Process, list[str]]]:
     """A classroom, and the addresses of its servers with their tokens."""
     with tempfile.TemporaryDirectory() as folder:
-        options = ["--students", str(STUDENTS), "--port", "0", "--data", folder, "--robot", arm]
+        options = ["--students", str(STUDENTS), "--port", str(free_ports(STUDENTS)), "--data", folder, "--robot", arm]
         with _started("classroom", *options, ready="students.csv") as process:
             until_classroom_ready(students := Path(folder) / "students.csv")
             with students.open(newline="") as lines:

@@ -152,10 +152,17 @@ PORTS = range(10_000, 32_768)
 
 def free_port() -> int:
     """A TCP port that nobody listens on."""
+    return free_ports(1)
+
+
+def free_ports(count: int) -> int:
+    """The first of TCP ports in a row that nobody listens on."""
     while True:
-        with socket.socket() as found, contextlib.suppress(OSError):
-            found.bind(("127.0.0.1", random.SystemRandom().choice(PORTS)))
-            return int(found.getsockname()[1])
+        first = random.SystemRandom().choice(PORTS)
+        with contextlib.ExitStack() as stack, contextlib.suppress(OSError):
+            for port in range(first, first + count):
+                stack.enter_context(socket.socket()).bind(("127.0.0.1", port))
+            return first
 
 
 def read_write_log(path: Path) -> list[dict[str, Any]]:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import uvloop
 
@@ -18,6 +19,7 @@ from robot.arm_group import moves
 from robot.messages import Mode
 from robot.processes import StartedChild
 from robot.stop_epochs import STOP_EPOCHS
+from server.access.authorization import Access
 from server.arm.arms import Arms, ServedArm, read_arms
 from server.arm.calibrating import Recalibrated
 from server.arm.setup import Description, check_parameters
@@ -59,7 +61,10 @@ from server.lifecycle import (
 )
 from server.monitoring.memory import SWITCH_INTERVAL_S, CollectorPolicy, MemoryKeeper
 from server.monitoring.systemd import SystemdNotifier
-from server.zenoh.bridge import bridge_of
+from server.zenoh.settings import check_installed
+
+if TYPE_CHECKING:
+    from server.zenoh.bridge import Bridge
 
 log = logging.getLogger("armbridge")
 
@@ -136,7 +141,7 @@ class App:
 
         # What refuses wrong settings comes first; nothing of it does anything before its start.
         self._clients = Clients(context)
-        self.bridge = bridge_of(settings.zenoh, self.graph, context.access, settings.server.limits.max_message_bytes)
+        self.bridge = _bridge_of(settings, self.graph, context.access)
         # Ahead of the features that latch messages; its file is opened when nothing can refuse the start any more.
         self._recording = Recording(context)
         self._monitoring = Monitoring(context, self._clients, self._recording.recorder, self.bridge, notifier)
@@ -260,6 +265,17 @@ class App:
             f"armbridge is ready: {listener.url} (rosbridge), {raw_tcp}{page}{arms}, "
             f"planners in processes {', '.join(str(pid) for pid in self._pool.pids) or 'of their own, shared'}"
         )
+
+
+def _bridge_of(settings: Settings, graph: Graph, access: Access) -> "Bridge | None":
+    """Return the bridge that the settings ask for; None if zenoh is off."""
+    if settings.zenoh.mode == "off":
+        return None
+    check_installed(settings.zenoh)
+    # Imported when it is needed: zenoh is an extra, and few servers use it.
+    from server.zenoh.bridge import Bridge
+
+    return Bridge(graph, settings.zenoh, access, settings.server.limits.max_message_bytes)
 
 
 def _what_arm_runs(served: ServedArm, simulation: SimulationSettings) -> str:

@@ -81,26 +81,21 @@ class Student:
         )
 
 
-def places(count: int, first_port: int, folder: Path, host: str) -> list[Student]:
-    """Make a place for each student; who is in the folder's list keeps the token.
+def places(count: int, first_port: int, folder: Path) -> list[Student]:
+    """Make a place for each student, with ports in a row; who is in the folder's list keeps the token.
 
-    Args:
-        first_port: port of the first one, the others follow; 0 takes free ones.
-
-    Raises:
-        ConfigurationError: there are not enough ports.
-        StartError: the list cannot be read.
+    Raises ConfigurationError for ports that there are not, StartError for a list that cannot be read.
     """
-    if first_port and (last_port := first_port + count - 1) > MAX_PORT:
+    last_port = first_port + count - 1
+    if not 0 < first_port <= last_port <= MAX_PORT:
         raise ConfigurationError(
-            f"--port: {count} students need the ports {first_port} to {last_port}, there are none above {MAX_PORT}"
+            f"--port: {count} students need ports in a row, {first_port} to {last_port}: there are 1 to {MAX_PORT}"
         )
-    ports = range(first_port, first_port + count) if first_port else _free_ports(count, host)
     known = read_tokens(folder / LIST_FILE)
     names = [f"student{number:02d}" for number in range(1, count + 1)]
     return [
-        Student(name, port, known.get(name) or new_token(), folder / name)
-        for name, port in zip(names, ports, strict=True)
+        Student(name, first_port + index, known.get(name) or new_token(), folder / name)
+        for index, name in enumerate(names)
     ]
 
 
@@ -146,20 +141,6 @@ def reachable_name(host: str) -> str:
     if address.is_unspecified:
         return socket.gethostname()
     return f"[{host}]" if address.version == 6 else host
-
-
-def _free_ports(count: int, host: str) -> list[int]:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    found = [socket.socket(family) for _ in range(count)]
-    try:
-        for each in found:
-            each.bind((host, 0))
-        return [int(each.getsockname()[1]) for each in found]
-    except OSError as error:
-        raise StartError(f"no free port on {host}: {error}") from error
-    finally:
-        for each in found:
-            each.close()
 
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGCHLD)
@@ -296,7 +277,7 @@ def run_classroom(settings: Settings, count: int, planners: int, folder: Path, w
         importlib.import_module("robot.physics.servo_joints")
     check_parameters(settings.moveit, description.robot)
     host, file = settings.server.host, folder / LIST_FILE
-    students = places(count, settings.server.port, folder, host)
+    students = places(count, settings.server.port, folder)
     if unknown := set(with_physics) - {student.name for student in students}:
         raise ConfigurationError(
             f"--physics: there is no {min(unknown)!r}: the students are {students[0].name} to {students[-1].name}"

@@ -259,23 +259,14 @@ class RecordingSettings(SettingsSection):
     file: Path | None = None
     """MCAP file to record every message to; if it exists, a number is added to the name."""
     limit_mb: int | None = Field(default=None, ge=1, le=1_000_000)
-    """size of a file at which the next file begins [MB]."""
-    keep_files: int = Field(default=0, ge=0, le=10_000)
-    """newest files of this run to keep; 0 for all; needs limit_mb."""
-
-    @model_validator(mode="after")
-    def _only_whole_files_are_given_up(self) -> RecordingSettings:
-        if self.keep_files and self.limit_mb is None:
-            raise ValueError(f"keep_files needs limit_mb: without it there is one file, not {self.keep_files}")
-        return self
+    """size of the file at which the recording ends [MB]."""
 
 
 class DiagnosticsSettings(SettingsSection):
     """Files about faults; see docs/operations.md."""
 
-    # Each has some 300 kB.
     fault_files: int = Field(default=20, ge=0, le=10_000)
-    """newest files about faults to keep, each of some 300 kB; 0 for none."""
+    """newest files about faults to keep, each of at most 1 MB; 0 for none."""
     fault_directory: Path | None = None
     """their folder; None for armbridge/faults/ in the user's data directory."""
 

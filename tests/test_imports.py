@@ -115,10 +115,8 @@ def test_the_protocol_does_no_io_and_reads_no_clock() -> None:
 # A server process that has not yet started, and shares nothing with other machines.
 PROGRAM = """
 import sys, server.app
-from server.access.authorization import unlimited
-from server.zenoh.bridge import bridge_of
-from server.zenoh.settings import ZenohSettings
-assert bridge_of(ZenohSettings(), None, unlimited(), 1) is None
+from server.config import Settings
+assert server.app._bridge_of(Settings(), None, None) is None
 print(*sys.modules)
 """
 
@@ -127,7 +125,7 @@ def test_a_server_starts_without_planning_libraries_and_without_what_only_few_ne
     """The metrics' library is loaded: it counts from the start, and takes 20 to 30 ms of the 1.3 s of imports."""
     loaded = set(run_python(PROGRAM).stdout.split())
     assert loaded & PLANNING_LIBRARIES == set(), "import them in the functions that need them, not in the module"
-    assert {"server.monitoring.monitor", "server.zenoh.bridge", "prometheus_client"} <= loaded
+    assert {"server.monitoring.monitor", "server.zenoh.settings", "prometheus_client"} <= loaded
     assert not {"zenoh", "mcap", "distributed"} & loaded
 
 

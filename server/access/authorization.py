@@ -6,19 +6,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Literal
 
-from protocol.operations import (
-    Advertise,
-    AdvertiseAction,
-    AdvertiseService,
-    Auth,
-    CallService,
-    CancelActionGoal,
-    Operation,
-    Publish,
-    SendActionGoal,
-    Subscribe,
-    qualify,
-)
+from protocol import operations as ops
+from protocol.operations import Operation, qualify
 from server.access.authentication import Tokens
 from server.access.control_lease import ControlLease
 from server.access.one_time_tokens import VALID_FOR_S, OneTimeTokens
@@ -84,10 +73,10 @@ def rule_of_topic(name: str, graph: Graph) -> Rule:
 def is_stop(operation: Operation, graph: Graph) -> bool:
     """Return True for an operation that stops the arm, ahead of everything that waits."""
     match operation:
-        case Publish():
+        case ops.Publish():
             rule = graph.rules.get(qualify(operation.topic), WORKING)
             return rule.at_once and rule.at_once_data in (None, _value_at(operation.msg, ("data",)))
-        case CallService():
+        case ops.CallService():
             return rule_of_service(_name_of(operation.service), graph).at_once
         case _:
             return False
@@ -95,11 +84,11 @@ def is_stop(operation: Operation, graph: Graph) -> bool:
 
 def is_cancel(operation: Operation, graph: Graph) -> bool:
     match operation:
-        case CancelActionGoal():
+        case ops.CancelActionGoal():
             return True
-        case Publish():
+        case ops.Publish():
             return rule_of_topic(qualify(operation.topic), graph).cancels
-        case CallService():
+        case ops.CallService():
             return rule_of_service(_name_of(operation.service), graph).cancels
         case _:
             return False
@@ -139,22 +128,22 @@ class Authorizer:
     def refusal(self, operation: Operation) -> str | None:
         """Return the reason for a refusal, or None; an operation that drives takes control."""
         match operation:
-            case Publish():
+            case ops.Publish():
                 return None if operation.topic in self.settled else self.publishing(operation.topic, operation.msg)
-            case CallService():
+            case ops.CallService():
                 return self.calling(operation.service, operation.args)
-            case SendActionGoal():
+            case ops.SendActionGoal():
                 name = qualify(operation.action)
                 rule = rule_of_action(name, self._graph)
                 return self.name_refusal(rule, "action", name) or self._drive(rule, name, operation.args)
-            case Subscribe():
+            case ops.Subscribe():
                 return self.name_refusal(LOOKING, "topic", qualify(operation.topic))
-            case Advertise():
+            case ops.Advertise():
                 name = qualify(operation.topic)
                 return self.name_refusal(self._rule_of_publishing(name), "topic", name)
-            case AdvertiseService():
+            case ops.AdvertiseService():
                 return self.name_refusal(WORKING, "service", qualify(operation.service))
-            case AdvertiseAction():
+            case ops.AdvertiseAction():
                 return self.name_refusal(WORKING, "action", qualify(operation.action))
             case _:
                 return None
@@ -271,7 +260,7 @@ class Access:
         else:
             self.drivers.discard(node)
 
-    def identify(self, shown: Auth) -> Identity | str:
+    def identify(self, shown: ops.Auth) -> Identity | str:
         """Return the identity that a client shows in the op ``auth``, or a sentence why it shows none."""
         return self.tokens.identify(shown.token) or self.one_time_tokens.use(shown.token) or _NO_TOKEN
 

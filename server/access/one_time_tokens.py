@@ -112,7 +112,6 @@ def offer_one_time_tokens(
         message = f"the token lets one connection in within {VALID_FOR_S:g} s"
         return {"success": True, "message": message, "token": token, "expires_in_s": VALID_FOR_S} | place
 
-    def start(call: Call) -> None:
-        answer(call, lambda _request: issue(call))
-
-    graph.node("one-time tokens").offer_calls(SERVICE, SERVICE_TYPE, start, rule=CONFIGURING)
+    graph.node("one-time tokens").offer_calls(
+        SERVICE, SERVICE_TYPE, lambda call: answer(call, lambda _request: issue(call)), rule=CONFIGURING
+    )

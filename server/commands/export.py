@@ -1,4 +1,4 @@
-"""``armbridge export``: recordings written as a dataset for learning."""
+"""``armbridge export``: a recording written as a dataset for learning."""
 
 import argparse
 from pathlib import Path
@@ -19,13 +19,13 @@ def add_export_parser(subparsers: Subparsers) -> None:
         subparsers,
         "export",
         _export,
-        "write recordings as a dataset for learning (LeRobotDataset v3.0)",
-        "Write recordings of serve --record or ROS 2 as a dataset for learning (docs/policies.md): the states of the"
+        "write a recording as a dataset for learning (LeRobotDataset v3.0)",
+        "Write a recording of serve --record or ROS 2 as a dataset for learning (docs/policies.md): the states of the"
         " arm, the actions that were asked for, and what cameras saw, at a fixed rate. Episodes are those marked on"
         " /dataset/episode; a recording without marks is one episode. Omissions count as problems. Needs"
         " armbridge[datasets].",
     )
-    parser.add_argument("recordings", type=Path, nargs="+", metavar="RECORDING", help="MCAP files, or bags of ROS 2")
+    parser.add_argument("recording", type=Path, metavar="RECORDING", help="an MCAP file, or a bag of ROS 2")
     parser.add_argument("--format", choices=("lerobot",), default="lerobot", help="LeRobotDataset v3.0 (lerobot)")
     parser.add_argument("--output", type=Path, required=True, metavar="DIR", help="folder to make")
     text = f"frames a second, 1 to {MAX_FPS} ({DEFAULT_FPS})"
@@ -58,7 +58,7 @@ def _export(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     from server.datasets.export import ExportOptions, export
 
     chosen = ExportOptions(
-        options.recordings,
+        options.recording,
         options.output,
         options.fps,
         options.task,

@@ -51,10 +51,6 @@ def _serve(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
     return ExitCode.DONE
 
 
-MIN_RATE, MAX_RATE = 0.01, 100.0
-MAX_DELAY_S = 3600.0
-
-
 def add_replay_parser(subparsers: Subparsers) -> None:
     parser = add_command(
         subparsers,
@@ -67,21 +63,14 @@ def add_replay_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument("recording", type=Path, metavar="FILE.mcap", help="the recording")
     add_server_options(parser)
-    text = f"{MIN_RATE:g} to {MAX_RATE:g} times as fast as it was (1.0)"
-    add_number(parser, "--rate", "FACTOR", (MIN_RATE, MAX_RATE), 1.0, text)
-    text = f"seconds before it begins, for clients to connect; up to {MAX_DELAY_S:g} (0)"
-    add_number(parser, "--delay", "S", (0.0, MAX_DELAY_S), 0.0, text)
-    parser.add_argument("--loop", action="store_true", help="begin again at the end, until a signal")
 
 
 def _replay(options: argparse.Namespace, _terminal: Terminal) -> ExitCode:
-    from server.recording.replay import ReplayOptions, replay
+    from server.recording.replay import replay
 
     settings, _ = read_settings(options)
     configure_logs(settings)
-    replay(
-        ReplayOptions(options.recording, settings.server, settings.access, options.rate, options.delay, options.loop)
-    )
+    replay(options.recording, settings.server, settings.access)
     return ExitCode.DONE
 
 

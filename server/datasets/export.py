@@ -1,11 +1,11 @@
-"""Export of recordings: what was recorded, made into the frames and videos of one dataset."""
+"""Export of a recording: what was recorded, made into the frames and videos of a dataset."""
 
 import hashlib
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -48,14 +48,14 @@ Tell = Callable[[str], None]
 
 
 class ExportError(ServerError):
-    """Recordings that make no dataset; the text is one sentence."""
+    """A recording that makes no dataset; the text is one sentence."""
 
 
 @dataclass(frozen=True)
 class ExportOptions:
     """Options of an export; actions are the topic's, else, an episode, the leader's, controllers' or the next state."""
 
-    recordings: Sequence[Path]
+    recording: Path
     output: Path
     fps: int = 30
     task: str | None = None
@@ -77,33 +77,22 @@ class Exported:
     problems: tuple[str, ...]
 
 
-@dataclass
-class _Source:
-    samples: Samples
-    cameras: dict[str, str]
-    episodes: list[EpisodeFrames] = field(default_factory=list)
-    actions: list[str] = field(default_factory=list)
-
-
 def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
-    """Write a dataset of recordings; raises ServerError and OSError."""
+    """Write a dataset of a recording; raises ServerError and OSError."""
     _check(options)
-    problems: list[str] = []
-    joints: tuple[str, ...] = ()
-    sources: list[_Source] = []
-    for path in options.recordings:
-        samples = read_samples(path, registry)
-        joints = joints or samples.joints[_state_topic(samples, options)][0].names
-        source = _source(samples, joints, options, problems)
-        if sources and source.cameras != sources[0].cameras:
-            wanted, found = (", ".join(each.cameras.values()) or "none" for each in (sources[0], source))
-            raise ExportError(f"{path}: must have the cameras of the first recording, {wanted}, not {found}")
-        sources.append(source)
-        for topic, encoding in samples.left_out.items() if options.video else ():
-            tell(f"{path}: {topic} is left out: its images are {encoding}")
-        tell(f"{path}: {len(source.episodes)} episodes, {sum(each.count for each in source.episodes)} frames")
-    arm = _arm_of(sources, joints, options)
-    episodes = [each for source in sources for each in source.episodes]
+    path, problems = options.recording, list[str]()
+    samples = read_samples(path, registry)
+    state_topic = _state_topic(samples, options)
+    joints = samples.joints[state_topic][0].names
+    topics = camera_keys(samples.images) if options.video else {}
+    if topics and find_spec("av") is None:
+        raise ExportError("videos need av: pip install 'armbridge[datasets]', or --no-video")
+    found = _episodes_of(samples, state_topic, topics, options, problems)
+    episodes = [_in_units(frames, joints, samples, options) for frames, _ in found]
+    for topic, encoding in samples.left_out.items() if options.video else ():
+        tell(f"{path}: {topic} is left out: its images are {encoding}")
+    count = sum(each.count for each in episodes)
+    tell(f"{path}: {len(episodes)} episodes, {count} frames")
     if not episodes:
         reasons = f"{'; '.join(problems)}; gaps are allowed up to --max-gap" if problems else "none is left"
         raise ExportError(f"no episode can be exported: {reasons}")
@@ -112,13 +101,13 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
         # A dataset is complete or absent.
         root = Path(folder) / "dataset"
         root.mkdir()
-        cameras = _write_videos(root, sources, options, registry, tell)
-        robot = next((source.samples.robot for source in sources if source.samples.robot), None)
-        lerobot.write(root, lerobot.Dataset(options.fps, joints, robot, episodes, cameras))
-        lerobot.write_json(root, ARM_PATH, arm)
+        if topics:
+            tell(f"{path}: writing {len(topics)} videos ...")
+        cameras = _write_videos(root, topics, episodes, options, registry)
+        lerobot.write(root, lerobot.Dataset(options.fps, joints, samples.robot or None, episodes, cameras))
+        lerobot.write_json(root, ARM_PATH, _arm_of(samples, joints, options))
         root.rename(options.output)
-    count = sum(each.count for each in episodes)
-    actions = Counter(name for source in sources for name in source.actions)
+    actions = Counter(name for _, name in found)
     named = ", ".join(actions) if len(actions) == 1 else ", ".join(f"{name} ({n})" for name, n in actions.items())
     return Exported(len(episodes), count, tuple(cameras), named, tuple(problems))
 
@@ -131,14 +120,14 @@ def _check(options: ExportOptions) -> None:
     checked_task(options.task or "")
 
 
-def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, problems: list[str]) -> _Source:
-    path, state_topic = samples.path, _state_topic(samples, options)
+def _episodes_of(
+    samples: Samples, state_topic: str, cameras: Mapping[str, str], options: ExportOptions, problems: list[str]
+) -> list[tuple[EpisodeFrames, str]]:
+    """Return the frames of episodes, and the name of their actions; ``problems`` gets the sentences about others."""
+    joints = samples.joints[state_topic][0].names
     states_s, states = series(samples.joints[state_topic], joints)
     if not states_s.size:
-        raise ExportError(f"{path}: {state_topic} must have the joints {', '.join(joints)}")
-    cameras = camera_keys(samples.images) if options.video else {}
-    if cameras and find_spec("av") is None:
-        raise ExportError("videos need av: pip install 'armbridge[datasets]', or --no-video")
+        raise ExportError(f"{samples.path}: {state_topic} must have the joints {', '.join(joints)}")
     # From the first state on: times since then are short, and exact.
     zero_s = float(states_s[0])
     image_times_s = {
@@ -152,23 +141,21 @@ def _source(samples: Samples, joints: tuple[str, ...], options: ExportOptions, p
     next_state = Tracks(states_s - zero_s, states, None, None, image_times_s, NEXT_STATE)
     marks = [(at_s - zero_s, text) for at_s, text in samples.marks]
     episodes, notes = episodes_of(marks, 0.0, float(states_s[-1]) - zero_s)
-    problems += [f"{path}: {note}" for note in notes]
+    problems += notes
     if samples.unreadable:
-        problems.append(f"{path}: {samples.unreadable} messages do not fit their types and are left out")
-    source = _Source(samples, cameras)
+        problems.append(f"{samples.unreadable} messages do not fit their types and are left out")
+    found: list[tuple[EpisodeFrames, str]] = []
     for number, episode in enumerate(episodes, 1):
         try:
             tasked = replace(episode, task=episode.task or options.task or NO_TASK)
             frames, actions_of = _frames_of(tasked, commanded, next_state, options)
-            at_s = zero_s + frames.start_s + np.arange(frames.count) / options.fps
-            frames = replace(frames, interventions=interventions(samples, at_s))
         except LeftOutError as error:
             where = f"episode {number} ({episode.start_s:.1f} to {episode.end_s:.1f} s)"
-            problems.append(f"{path}: {where} is left out: {error}")
+            problems.append(f"{where} is left out: {error}")
         else:
-            source.episodes.append(_in_units(frames, joints, samples, options))
-            source.actions.append(actions_of)
-    return source
+            at_s = zero_s + frames.start_s + np.arange(frames.count) / options.fps
+            found.append((replace(frames, interventions=interventions(samples, at_s)), actions_of))
+    return found
 
 
 def _state_topic(samples: Samples, options: ExportOptions) -> str:
@@ -245,30 +232,22 @@ def _in_units(frames: EpisodeFrames, joints: Sequence[str], samples: Samples, op
     return replace(frames, states=states, actions=in_lerobot_units(frames.actions, joints, ranges, zeros_rad))
 
 
-def _arm_of(sources: Sequence[_Source], joints: Sequence[str], options: ExportOptions) -> dict[str, Any]:
-    """Return the contents of ``meta/armbridge.json``; raises ExportError for recordings of arms with other zeros."""
-    found: dict[str, Any] = {}
-    for source in sources:
-        samples = source.samples
-        calibrated = "\n".join(f"{name} {lower:.5f} {upper:.5f}" for name, (lower, upper) in samples.calibrated.items())
-        arm = {
-            "robot": samples.robot,
-            "units": options.units,
-            "calibration": hashlib.sha256(calibrated.encode()).hexdigest()[:12] if calibrated else "",
-            "joints": {
-                name: {
-                    "zero_rad": samples.zeros_rad[name],
-                    "range_rad": samples.ranges.get(name),
-                    "limits_rad": samples.limits.get(name),
-                }
-                for name in joints
-            },
-        }
-        if found and options.units == "lerobot" and found != arm:
-            text = "was recorded with another calibration or limits than the first recording: export it by itself"
-            raise ExportError(f"{samples.path}: {text}")
-        found = found or arm
-    return found
+def _arm_of(samples: Samples, joints: Sequence[str], options: ExportOptions) -> dict[str, Any]:
+    """Return the contents of ``meta/armbridge.json``."""
+    calibrated = "\n".join(f"{name} {lower:.5f} {upper:.5f}" for name, (lower, upper) in samples.calibrated.items())
+    return {
+        "robot": samples.robot,
+        "units": options.units,
+        "calibration": hashlib.sha256(calibrated.encode()).hexdigest()[:12] if calibrated else "",
+        "joints": {
+            name: {
+                "zero_rad": samples.zeros_rad[name],
+                "range_rad": samples.ranges.get(name),
+                "limits_rad": samples.limits.get(name),
+            }
+            for name in joints
+        },
+    }
 
 
 def camera_keys(topics: Iterable[str]) -> dict[str, str]:
@@ -284,38 +263,42 @@ def camera_keys(topics: Iterable[str]) -> dict[str, str]:
 
 
 def _write_videos(
-    root: Path, sources: Sequence[_Source], options: ExportOptions, registry: Registry, tell: Tell
+    root: Path,
+    topics: Mapping[str, str],
+    episodes: Sequence[EpisodeFrames],
+    options: ExportOptions,
+    registry: Registry,
 ) -> dict[str, lerobot.CameraVideo]:
-    cameras: dict[str, lerobot.CameraVideo] = {}
-    with ExitStack() as stack:
-        writers = {
-            key: stack.enter_context(VideoWriter(lerobot.made_file(root, lerobot.VIDEO_PATH, key), options.fps))
-            for key in sources[0].cameras
-        }
-        statistics: dict[str, list[ImageStatistics]] = {key: [] for key in writers}
-        for source in sources if writers else ():
-            tell(f"{source.samples.path}: writing {len(writers)} videos ...")
-            _add_images(source, writers, statistics, registry)
-        for key, writer in writers.items():
-            cameras[key] = lerobot.CameraVideo(*writer.shape, statistics[key])
-    return cameras
-
-
-def _add_images(
-    source: _Source, writers: dict[str, VideoWriter], statistics: dict[str, list[ImageStatistics]], registry: Registry
-) -> None:
-    keys = {topic: key for key, topic in source.cameras.items()}
+    """Write the video of each camera; return them by the cameras' keys."""
     # Camera -> image -> episodes that show it, each with the number of its frames.
-    shown: dict[str, dict[int, list[tuple[int, int]]]] = {key: {} for key in writers}
-    for number, episode in enumerate(source.episodes):
+    shown: dict[str, dict[int, list[tuple[int, int]]]] = {key: {} for key in topics}
+    for number, episode in enumerate(episodes):
         for key, indices in episode.images.items():
             for index, times in zip(*np.unique(indices, return_counts=True), strict=True):
                 shown[key].setdefault(int(index), []).append((number, int(times)))
-    first = {key: len(each) for key, each in statistics.items()}
-    for each in statistics.values():
-        each += [ImageStatistics() for _ in source.episodes]
-    seen = dict.fromkeys(keys, 0)
-    for message in messages(source.samples.path):
+    statistics = {key: [ImageStatistics() for _ in episodes] for key in topics}
+    with ExitStack() as stack:
+        writers = {
+            key: stack.enter_context(VideoWriter(lerobot.made_file(root, lerobot.VIDEO_PATH, key), options.fps))
+            for key in topics
+        }
+        for key, index, values in _images(topics, options.recording, registry) if topics else ():
+            if uses := shown[key].get(index):
+                try:
+                    image = pixels_of(values)
+                    for number, times in uses:
+                        writers[key].add(image, times)
+                        statistics[key][number].add(image, times)
+                except VideoError as error:
+                    raise ExportError(f"{options.recording}: image {index + 1} of {topics[key]}: {error}") from error
+    return {key: lerobot.CameraVideo(*writer.shape, statistics[key]) for key, writer in writers.items()}
+
+
+def _images(topics: Mapping[str, str], path: Path, registry: Registry) -> Iterator[tuple[str, int, dict[str, Any]]]:
+    """Yield the images of cameras, each with its camera's key and its number."""
+    keys = {topic: key for key, topic in topics.items()}
+    seen = Counter[str]()
+    for message in messages(path):
         if message.type_name not in IMAGES or message.topic not in keys:
             continue
         try:
@@ -323,14 +306,5 @@ def _add_images(
         except ProtocolError:
             # It was not counted when the recording was read either.
             continue
-        key, index = keys[message.topic], seen[message.topic]
+        yield keys[message.topic], seen[message.topic], values
         seen[message.topic] += 1
-        if not (uses := shown[key].get(index)):
-            continue
-        try:
-            image = pixels_of(values)
-            for number, times in uses:
-                writers[key].add(image, times)
-                statistics[key][first[key] + number].add(image, times)
-        except VideoError as error:
-            raise ExportError(f"{source.samples.path}: image {index + 1} of {message.topic}: {error}") from error

@@ -5,29 +5,9 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from protocol import operations as ops
 from protocol.errors import OperationError, ProtocolError
-from protocol.operations import (
-    ActionFeedback,
-    ActionResult,
-    Advertise,
-    AdvertiseAction,
-    AdvertiseService,
-    Auth,
-    CallService,
-    CancelActionGoal,
-    Operation,
-    Publish,
-    Request,
-    SendActionGoal,
-    ServiceResponse,
-    SetLevel,
-    Status,
-    Subscribe,
-    Unadvertise,
-    UnadvertiseAction,
-    UnadvertiseService,
-    Unsubscribe,
-)
+from protocol.operations import Operation, Request
 from protocol.registry import Kind
 from protocol.session import Packed, Refusal
 from server.access.authorization import Authorizer, is_cancel, is_stop
@@ -96,7 +76,7 @@ class Client:
             return self.session.receive_frame(frame, self._context.clock())
         items = self.session.receive_frame(frame, self._context.clock()) if len(frame) <= MAX_FIRST_BYTES else ()
         first = items[0] if items else None
-        if isinstance(first, Auth):
+        if isinstance(first, ops.Auth):
             return items
         # Without the text that came: it may be a bare token.
         self._disconnect(first.text if isinstance(first, Refusal) and first.op == "auth" else _NOT_FIRST)
@@ -119,11 +99,11 @@ class Client:
         # The client got the errors the first time.
         with contextlib.suppress(ProtocolError, GraphError, PostponedError):
             match operation:
-                case CancelActionGoal():
+                case ops.CancelActionGoal():
                     self.actions.cancel(operation)
-                case CallService():
+                case ops.CallService():
                     self.services.call_unanswered(operation)
-                case Publish():
+                case ops.Publish():
                     self.topics.publish(operation, ReceivedMessage(operation.msg, 0, self.session.dialect, light=True))
                 case _:
                     pass
@@ -142,11 +122,11 @@ class Client:
         """Report an operation that is not carried out; an operation with an answer gets it."""
         self.status.reject(operation, reason)
         match operation:
-            case Publish():
+            case ops.Publish():
                 self.topics.reject(operation, reason)
-            case CallService():
+            case ops.CallService():
                 self.services.reject_call(operation.service, name_and_id(operation)[1], reason)
-            case SendActionGoal():
+            case ops.SendActionGoal():
                 self.actions.reject_goal(operation.action, operation.id, reason)
             case _:
                 pass
@@ -204,44 +184,44 @@ class Client:
             return waiting.message or ReceivedMessage(message, size_bytes, dialect, light=waiting.light)
 
         match operation:
-            case Publish():
+            case ops.Publish():
                 self.topics.publish(operation, received(operation.msg))
-            case CallService():
+            case ops.CallService():
                 self.services.call(operation, received(operation.args))
-            case ServiceResponse():
+            case ops.ServiceResponse():
                 self.services.respond(operation, received({} if operation.values is None else operation.values))
-            case SendActionGoal():
+            case ops.SendActionGoal():
                 self.actions.send_goal(operation, received(operation.args))
-            case ActionFeedback():
+            case ops.ActionFeedback():
                 self.actions.report_feedback(operation, received(operation.values))
-            case ActionResult():
+            case ops.ActionResult():
                 self.actions.finish(operation, received({} if operation.values is None else operation.values))
-            case CancelActionGoal():
+            case ops.CancelActionGoal():
                 self.actions.cancel(operation)
-            case Subscribe():
+            case ops.Subscribe():
                 self.topics.subscribe(operation)
-            case Unsubscribe():
+            case ops.Unsubscribe():
                 self.topics.unsubscribe(operation)
-            case Advertise():
+            case ops.Advertise():
                 self.topics.advertise(operation)
-            case Unadvertise():
+            case ops.Unadvertise():
                 self.topics.unadvertise(operation)
-            case AdvertiseService():
+            case ops.AdvertiseService():
                 self.services.advertise(operation)
-            case UnadvertiseService():
+            case ops.UnadvertiseService():
                 self.services.unadvertise(operation)
-            case AdvertiseAction():
+            case ops.AdvertiseAction():
                 self.actions.advertise(operation)
-            case UnadvertiseAction():
+            case ops.UnadvertiseAction():
                 self.actions.unadvertise(operation)
-            case SetLevel():
+            case ops.SetLevel():
                 self.status.set_level(operation)
-            case Status():
+            case ops.Status():
                 self.status.log_status(operation)
-            case Auth():
+            case ops.Auth():
                 self._authenticate(operation)
 
-    def _authenticate(self, operation: Auth) -> None:
+    def _authenticate(self, operation: ops.Auth) -> None:
         """Give the client the identity of the token that it shows, or disconnect it."""
         context, node, tell = self._context, self.node, self.status.tell
         access, throttle, connection = context.gateway.access, context.gateway.throttle, context.connection
@@ -291,10 +271,10 @@ class Client:
 
 # Field of an operation with its type, and what that is a type of.
 _TYPE_FIELDS: Mapping[type[Operation], tuple[str, Kind]] = {
-    Subscribe: ("type", "msg"),
-    Advertise: ("type", "msg"),
-    CallService: ("type", "srv"),
-    AdvertiseService: ("type", "srv"),
-    SendActionGoal: ("action_type", "action"),
-    AdvertiseAction: ("type", "action"),
+    ops.Subscribe: ("type", "msg"),
+    ops.Advertise: ("type", "msg"),
+    ops.CallService: ("type", "srv"),
+    ops.AdvertiseService: ("type", "srv"),
+    ops.SendActionGoal: ("action_type", "action"),
+    ops.AdvertiseAction: ("type", "action"),
 }

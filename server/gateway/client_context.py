@@ -12,25 +12,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from protocol import dialect
+from protocol import operations as ops
 from protocol.codecs import cbor
 from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.errors import NothingToDoError, OperationError, ProtocolError, describe, one_line, shorten
 from protocol.limits import Limits
-from protocol.operations import (
-    Advertise,
-    AdvertiseAction,
-    AdvertiseService,
-    Auth,
-    Mark,
-    Operation,
-    SetLevel,
-    Status,
-    Subscribe,
-    Unadvertise,
-    UnadvertiseAction,
-    UnadvertiseService,
-    Unsubscribe,
-)
+from protocol.operations import Mark, Operation
 from protocol.publication import LARGE_BYTES
 from protocol.send_queue import SendBudget
 from protocol.session import LaterFields, Refusal, Session
@@ -66,14 +53,14 @@ _LOG_LEVELS = {"none": logging.DEBUG, "error": logging.ERROR, "warning": logging
 # Field with the name, and words of success, of operations without an answer in rosbridge; publish has no
 # acknowledgement, for it would come with every message.
 _DONE: Mapping[type[Operation], tuple[str, str]] = {
-    Advertise: ("topic", "advertised"),
-    Unadvertise: ("topic", "no longer advertised under this id"),
-    Subscribe: ("topic", "subscribed"),
-    Unsubscribe: ("topic", "no longer subscribed under this id"),
-    AdvertiseService: ("service", "offered"),
-    UnadvertiseService: ("service", "withdrawn"),
-    AdvertiseAction: ("action", "offered"),
-    UnadvertiseAction: ("action", "withdrawn"),
+    ops.Advertise: ("topic", "advertised"),
+    ops.Unadvertise: ("topic", "no longer advertised under this id"),
+    ops.Subscribe: ("topic", "subscribed"),
+    ops.Unsubscribe: ("topic", "no longer subscribed under this id"),
+    ops.AdvertiseService: ("service", "offered"),
+    ops.UnadvertiseService: ("service", "withdrawn"),
+    ops.AdvertiseAction: ("action", "offered"),
+    ops.UnadvertiseAction: ("action", "withdrawn"),
 }
 
 
@@ -141,7 +128,7 @@ class ClientStatus:
     def acknowledge(self, operation: Operation) -> None:
         """Confirm an operation that has no answer of its own."""
         # Who has only shown a token has not shown yet that its other operations are right.
-        if self._unasked_errors_left and not isinstance(operation, Auth):
+        if self._unasked_errors_left and not isinstance(operation, ops.Auth):
             self._unasked_errors_left = 0
         if self._session.status_level == "none":
             return
@@ -150,17 +137,17 @@ class ClientStatus:
             return
         field, words = done
         self.tell("info", operation, f"{field} {getattr(operation, field)}: {words}")
-        if isinstance(operation, Advertise | Subscribe) and operation.qos:
+        if isinstance(operation, ops.Advertise | ops.Subscribe) and operation.qos:
             self.tell("warning", operation, "field qos: has no effect")
-        if isinstance(operation, Subscribe) and operation.compression != operation.encoding:
+        if isinstance(operation, ops.Subscribe) and operation.compression != operation.encoding:
             unknown = f"wanted none, png, cbor or cbor-raw, got {describe(operation.compression)}"
             self.tell("warning", operation, f"field compression: {unknown}; messages come as with none")
 
-    def set_level(self, operation: SetLevel) -> None:
+    def set_level(self, operation: ops.SetLevel) -> None:
         self._unasked_errors_left = 0
         self._session.status_level = operation.level
 
-    def log_status(self, operation: Status) -> None:
+    def log_status(self, operation: ops.Status) -> None:
         self._log(_LOG_LEVELS[operation.level], f"{self._node} says: {one_line(shorten(operation.msg))}")
 
     def _log(self, level: int, line: str) -> None:

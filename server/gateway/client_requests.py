@@ -2,29 +2,17 @@
 
 import itertools
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Generic, Literal
 
+from protocol import operations as ops
 from protocol.errors import NothingToDoError, OperationError
-from protocol.operations import (
-    ActionFeedback,
-    ActionResult,
-    AdvertiseAction,
-    AdvertiseService,
-    CallService,
-    CancelActionGoal,
-    Mark,
-    Operation,
-    SendActionGoal,
-    ServiceResponse,
-    UnadvertiseAction,
-    UnadvertiseService,
-    qualify,
-)
+from protocol.operations import Mark, Operation, qualify
 from protocol.session import with_id
 from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, ClientContext
 from server.graph.actions import ActionGoal, Actions, GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
 from server.graph.permissions import WORKING, Role
+from server.graph.providers import AnyRequest
 from server.graph.services import Call, Response, Services
 
 # Calls of services that plan which wait for their responses, by the client's role: a planner takes them one by one,
@@ -35,8 +23,8 @@ MAX_PLANNING_CALLS = {Role.VIEW: 16, Role.PROPOSE: 16, Role.OPERATE: 64, Role.AD
 _PASSED_STATUSES = (GoalStatus.SUCCEEDED, GoalStatus.CANCELED)
 
 
-class _Offers:
-    """Names of one kind that a client offers."""
+class _Requests(Generic[AnyRequest]):
+    """Names of one kind that a client offers with the requests to them, and its own requests of that kind."""
 
     def __init__(self, context: ClientContext, kind: Literal["service", "action"], offers: Services | Actions) -> None:
         self._client = context
@@ -45,7 +33,9 @@ class _Offers:
         self._kind = kind
         self._offers = offers
         self._offered: set[str] = set()
-        # No id is ever given twice, so that no late answer is taken for another request's.
+        # Requests that the client is to answer, by the ids that it got. No id is ever given twice, so that no late
+        # answer is taken for another request's.
+        self._requested: dict[Mark, AnyRequest] = {}
         self._numbers = itertools.count(1)
         self._values_in_flight = 0
 
@@ -60,6 +50,36 @@ class _Offers:
             text = f"{self._kind} {spelled}: takes the place of another client's"
             self._client.status.tell("warning", operation, text)
 
+    def _withdraw(self, operation: Operation, spelled: str) -> None:
+        name = qualify(spelled)
+        if name not in self._offered:
+            raise NothingToDoError(operation.op, None, f"{self._kind} {spelled}: this client does not offer it")
+        self._offers.withdraw(self._node, name)
+        self._offered.remove(name)
+
+    def _request(self, request: AnyRequest, prefix: str, fields: dict[str, Any]) -> str | None:
+        """Send the client a request for what it offers; return its id, None when there is no room for it.
+
+        The fields have places for ``id`` and ``args``, in rosbridge's order.
+        """
+        id_ = f"{prefix}:{fields[self._kind]}:{next(self._numbers)}"
+        self._requested[id_] = request
+        request.when_ended(lambda _end: self._requested.pop(id_))
+        fields |= {"id": id_, "args": request.request}
+        return id_ if self._client.send_request(fields, f"{request.type_name}_{request.asked}") else None
+
+    def _waiting(self, operation: Operation) -> AnyRequest:
+        request = self._requested.get(operation.id)
+        if request is None:
+            raise OperationError(operation.op, "id", "no request of this id waits for an answer")
+        return request
+
+    def fail(self, id_: Mark, problem: str) -> None:
+        """End the request of this id, if there is one, whose answer cannot be read."""
+        request = self._requested.get(id_)
+        if request is not None:
+            request.fail(f"{request.title} gave a {request.answered.lower()} that cannot be read: {problem}")
+
     def _limit(self, count: int, what: str) -> str | None:
         """Return the limit at which no further call, or goal, of this client is taken on; None below it."""
         if count >= self._limits.max_calls_in_flight:
@@ -69,28 +89,21 @@ class _Offers:
             return f"{what} of this client with {values}"
         return None
 
-    def _withdraw(self, operation: Operation, spelled: str) -> None:
-        name = qualify(spelled)
-        if name not in self._offered:
-            raise NothingToDoError(operation.op, None, f"{self._kind} {spelled}: this client does not offer it")
-        self._offers.withdraw(self._node, name)
-        self._offered.remove(name)
 
-
-class ClientServices(_Offers):
+class ClientServices(_Requests[Call]):
     """Services that one client offers, and its calls of others' services."""
 
     def __init__(self, context: ClientContext) -> None:
         self._services = context.graph.services
         super().__init__(context, "service", self._services)
-        # Calls that the client is to answer, by the ids that it got.
-        self._requested: dict[Mark, Call] = {}
         self._calls_in_flight = 0
         self._planning_calls = 0
 
-    def advertise(self, operation: AdvertiseService) -> None:
+    def advertise(self, operation: ops.AdvertiseService) -> None:
         def start(call: Call) -> None:
-            self._request(operation.service, call)
+            fields = {"op": "call_service", "id": "", "service": operation.service, "args": {}}
+            if self._request(call, "service_request", fields) is None:
+                call.fail(f"{call.title}: its provider does not read its calls quickly enough")
 
         timeout_s, services = self._limits.call_timeout_s, self._services
         self._advertise(
@@ -99,32 +112,16 @@ class ClientServices(_Offers):
             lambda name: services.offer_calls(self._node, name, operation.type, start, timeout_s, limits=None),
         )
 
-    def unadvertise(self, operation: UnadvertiseService) -> None:
+    def unadvertise(self, operation: ops.UnadvertiseService) -> None:
         self._withdraw(operation, operation.service)
 
-    def _request(self, spelled_service: str, call: Call) -> None:
-        id_ = f"service_request:{spelled_service}:{next(self._numbers)}"
-        self._requested[id_] = call
-        call.when_ended(lambda _response: self._requested.pop(id_))
-        fields = {"op": "call_service", "id": id_, "service": spelled_service, "args": call.request}
-        if not self._client.send_request(fields, f"{call.type_name}_Request"):
-            call.fail(f"Service {call.service}: its provider does not read its calls quickly enough")
-
-    def respond(self, operation: ServiceResponse, message: ReceivedMessage) -> None:
-        call = self._requested.get(operation.id)
-        if call is None:
-            raise OperationError(operation.op, "id", "no call of this id waits for a response")
+    def respond(self, operation: ops.ServiceResponse, message: ReceivedMessage) -> None:
+        call = self._waiting(operation)
         # rosbridge_library passes on any values that are an object, whatever `result` says (service_response.py).
         if operation.result or isinstance(operation.values, dict):
             call.succeed(message)
         else:
-            call.fail(f"Service {call.service} failed" if operation.values is None else operation.values)
-
-    def fail(self, id_: Mark, problem: str) -> None:
-        """End the call of this id, if there is one, whose response cannot be read."""
-        call = self._requested.get(id_)
-        if call is not None:
-            call.fail(f"Service {call.service} gave a response that cannot be read: {problem}")
+            call.fail(f"{call.title} failed" if operation.values is None else operation.values)
 
     def reject_call(self, service: str, id_: Mark, problem: str) -> None:
         """Answer a call that is not made; ``service`` is as the client spells it."""
@@ -134,7 +131,7 @@ class ClientServices(_Offers):
         fields = {"op": "service_response", "service": service, "values": response.values, "result": response.ok}
         self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Response" if response.ok else "")
 
-    def call(self, operation: CallService, message: ReceivedMessage) -> None:
+    def call(self, operation: ops.CallService, message: ReceivedMessage) -> None:
         """Call a service, or raise PostponedError while its request is completed in the background."""
         name, id_ = name_and_id(operation)
         type_name, plans = self._services.names.type_of(name), self._services.rules.get(name, WORKING).plans
@@ -162,7 +159,7 @@ class ClientServices(_Offers):
 
         call.when_ended(forget)
 
-    def call_unanswered(self, operation: CallService) -> None:
+    def call_unanswered(self, operation: ops.CallService) -> None:
         """Call a service whose response the client has already."""
         name, _ = name_and_id(operation)
         self._services.call(self._node, name, operation.args, lambda _response: None, operation.timeout)
@@ -176,76 +173,51 @@ class ClientServices(_Offers):
         return self._limit(self._calls_in_flight, "calls")
 
 
-def name_and_id(operation: CallService) -> tuple[str, Mark]:
+def name_and_id(operation: ops.CallService) -> tuple[str, Mark]:
     """Return the qualified name of a called service, and the id of the call."""
     # `/svc#7` is how rosbridge's first clients gave the id.
     service, _, id_in_name = operation.service.partition("#")
     return qualify(service), operation.id if operation.id is not None else id_in_name or None
 
 
-class ClientActions(_Offers):
+class ClientActions(_Requests[ActionGoal]):
     """Actions that one client offers, and the goals that it sends to others' actions."""
 
     def __init__(self, context: ClientContext) -> None:
         self._actions = context.graph.actions
         super().__init__(context, "action", self._actions)
-        # Goals that the client is to reach, by the ids that it got.
-        self._requested: dict[Mark, ActionGoal] = {}
         # Goals that the client has sent: action and the client's id.
         self._sent: dict[ActionGoal, tuple[str, Mark]] = {}
 
-    def advertise(self, operation: AdvertiseAction) -> None:
+    def advertise(self, operation: ops.AdvertiseAction) -> None:
+        action = operation.action
+
         def start(goal: ActionGoal) -> None:
-            self._request(operation, goal)
+            fields = {"op": "send_action_goal", "id": "", "action": action, "action_type": operation.type}
+            id_ = self._request(goal, "action_goal", fields | {"args": {}, "feedback": True})
+            if id_ is None:
+                goal.fail(f"{goal.title}: its provider does not read its goals quickly enough", GoalStatus.UNKNOWN)
+                return
+            goal.when_canceled(lambda: self._client.send({"op": "cancel_action_goal", "id": id_, "action": action}))
 
         actions, node = self._actions, self._node
-        self._advertise(operation, operation.action, lambda name: actions.offer(node, name, operation.type, start))
+        self._advertise(operation, action, lambda name: actions.offer(node, name, operation.type, start))
 
-    def unadvertise(self, operation: UnadvertiseAction) -> None:
+    def unadvertise(self, operation: ops.UnadvertiseAction) -> None:
         self._withdraw(operation, operation.action)
 
-    def _request(self, offer: AdvertiseAction, goal: ActionGoal) -> None:
-        id_ = f"action_goal:{offer.action}:{next(self._numbers)}"
-        self._requested[id_] = goal
-        goal.when_ended(lambda _result: self._requested.pop(id_))
-        fields = {
-            "op": "send_action_goal",
-            "id": id_,
-            "action": offer.action,
-            "action_type": offer.type,
-            "args": goal.request,
-            "feedback": True,
-        }
-        if not self._client.send_request(fields, f"{goal.type_name}_Goal"):
-            goal.fail(f"Action {goal.action}: its provider does not read its goals quickly enough", GoalStatus.UNKNOWN)
-            return
-        goal.when_canceled(lambda: self._client.send({"op": "cancel_action_goal", "id": id_, "action": offer.action}))
+    def report_feedback(self, operation: ops.ActionFeedback, message: ReceivedMessage) -> None:
+        self._waiting(operation).feedback(message)
 
-    def report_feedback(self, operation: ActionFeedback, message: ReceivedMessage) -> None:
-        self._goal(operation).feedback(message)
-
-    def finish(self, operation: ActionResult, message: ReceivedMessage) -> None:
-        goal = self._goal(operation)
+    def finish(self, operation: ops.ActionResult, message: ReceivedMessage) -> None:
+        goal = self._waiting(operation)
         if operation.result:
             status = GoalStatus(operation.status) if operation.status in _PASSED_STATUSES else GoalStatus.ABORTED
             goal.finish(status, message)
         else:
-            values = f"Action {goal.action} failed" if operation.values is None else operation.values
-            goal.fail(values, operation.status)
+            goal.fail(f"{goal.title} failed" if operation.values is None else operation.values, operation.status)
 
-    def _goal(self, operation: ActionFeedback | ActionResult) -> ActionGoal:
-        goal = self._requested.get(operation.id)
-        if goal is None:
-            raise OperationError(operation.op, "id", "no goal of this id is on its way")
-        return goal
-
-    def fail(self, id_: Mark, problem: str) -> None:
-        """End the goal of this id, if there is one, whose result cannot be read."""
-        goal = self._requested.get(id_)
-        if goal is not None:
-            goal.fail(f"Action {goal.action} gave a result that cannot be read: {problem}")
-
-    def send_goal(self, operation: SendActionGoal, message: ReceivedMessage) -> None:
+    def send_goal(self, operation: ops.SendActionGoal, message: ReceivedMessage) -> None:
         name = qualify(operation.action)
         type_name = self._actions.names.type_of(name)
 
@@ -281,7 +253,7 @@ class ClientActions(_Offers):
         fields |= {"status": int(result.status), "result": result.ok}
         self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Result" if result.ok else "")
 
-    def cancel(self, operation: CancelActionGoal) -> None:
+    def cancel(self, operation: ops.CancelActionGoal) -> None:
         """Cancel the goal of this id; an unknown goal has most likely just ended.
 
         A client that connects for each request, as ros-mcp does, cancels goals of its former connections. In

@@ -32,11 +32,6 @@ PATH = "goal"
 GOAL_SERVICE, STOP_SERVICE = "/moveit_goal", "/arm/stop"
 GRIPPER_ACTION, GRIPPER_TYPE = "/gripper_controller/gripper_cmd", "control_msgs/action/GripperCommand"
 
-# Fields of the service: the targets, exactly one required, and the options; then fields of a gripper's goal.
-MOTIONS, OPTIONS = ("named", "joints", "pose"), ("group", "velocity_scaling", "acceleration_scaling", "plan_only")
-TARGETS = (*MOTIONS, "gripper", "stop")
-GRIPPER_FIELDS = ("position", "max_effort")
-
 # Longer than the server waits for a confirmation, and than nearly every motion takes [s].
 DEFAULT_TIMEOUT_S = 300.0
 
@@ -144,33 +139,19 @@ class HttpGoals:
         if request.get("stop"):
             # Somebody wants the arm to stop, whatever else the request says.
             return CallService(service=f"{prefix}{STOP_SERVICE}")
-        given = [name for name in TARGETS if name in request]
-        if len(given) != 1:
-            got = " and ".join(given) or "none"
-            raise _RefusedError(f"exactly one of {', '.join(TARGETS)} must be given, not {got}")
-        if given == ["stop"]:
-            raise _RefusedError(f"field stop: must be true, not {describe(request['stop'])}")
-        if given == ["gripper"]:
-            _check_fields(request, ("gripper",), "")
-            command = request["gripper"]
-            if not isinstance(command, dict) or "position" not in command:
-                raise _RefusedError(f"field gripper: must be an object with position, not {describe(command)}")
-            _check_fields(command, GRIPPER_FIELDS, "gripper.")
-            return SendActionGoal(
-                action=f"{prefix}{GRIPPER_ACTION}",
-                action_type=GRIPPER_TYPE,
-                args={"command": command},
-                after_stop=after_stop,
-            )
-        _check_fields(request, (*MOTIONS, *OPTIONS), "")
-        return CallService(service=f"{prefix}{GOAL_SERVICE}", args=request, after_stop=after_stop)
-
-
-def _check_fields(given: Mapping[str, Any], known: Collection[str], place: str) -> None:
-    unknown = next((name for name in given if name not in known), None)
-    if unknown is not None:
-        shown = one_line(shorten(f"{place}{unknown}"))
-        raise _RefusedError(f"field {shown}: unknown here; known: {', '.join(known)}")
+        if "gripper" not in request:
+            return CallService(service=f"{prefix}{GOAL_SERVICE}", args=request, after_stop=after_stop)
+        command = request.pop("gripper")
+        if request or not isinstance(command, dict) or "position" not in command:
+            beside = f" beside {one_line(shorten(', '.join(request)))}" if request else ""
+            sentence = f"field gripper: must be an object with position, by itself, not {describe(command)}{beside}"
+            raise _RefusedError(sentence)
+        return SendActionGoal(
+            action=f"{prefix}{GRIPPER_ACTION}",
+            action_type=GRIPPER_TYPE,
+            args={"command": command},
+            after_stop=after_stop,
+        )
 
 
 def _timeout_s(posted: PostedRequest) -> float:

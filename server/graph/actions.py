@@ -67,6 +67,8 @@ class ActionGoal(PendingRequest[Result]):
     ``names`` are the action's name and its type.
     """
 
+    asked, answered = "Goal", "Result"
+
     def __init__(
         self,
         names: tuple[str, str],
@@ -104,7 +106,7 @@ class ActionGoal(PendingRequest[Result]):
 
         Raises MessageError for values that do not fit: the goal has failed, and its sender knows.
         """
-        self._end(Result(ok=True, status=status, values=self._completed("Result", values)))
+        self._end(Result(ok=True, status=status, values=self._completed(values)))
 
     def fail(self, values: object, status: int = GoalStatus.ABORTED) -> None:
         """End the goal without a result message, with a sentence or with what the provider gave."""

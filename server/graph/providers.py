@@ -32,9 +32,12 @@ class CompleteResponse:
 class PendingRequest(Generic[End]):
     """Base of calls and goals on their way; the title says what was asked for, as ``Service /name``."""
 
+    # Ends of the names of its messages' types.
+    asked, answered = "Request", "Response"
+
     def __init__(self, title: str, type_name: str, request: dict[str, Any], message_types: MessageTypes) -> None:
-        self.type_name, self.request, self.ended = type_name, request, False
-        self._title, self._message_types = title, message_types
+        self.title, self.type_name, self.request, self.ended = title, type_name, request, False
+        self._message_types = message_types
         self._when_ended: list[Callable[[End], object]] = []
 
     def when_ended(self, callback: Callable[[End], object]) -> None:
@@ -45,14 +48,14 @@ class PendingRequest(Generic[End]):
         """End the request with a sentence, or with what the provider gave."""
         raise NotImplementedError
 
-    def _completed(self, part: str, values: object) -> Any:
+    def _completed(self, values: object) -> Any:
         """Complete the provider's response or result; raise MessageError if it does not fit, and the request fails."""
         if isinstance(values, CompleteResponse):
             return values.message
         try:
-            return self._message_types.complete(f"{self.type_name}_{part}", values)
+            return self._message_types.complete(f"{self.type_name}_{self.answered}", values)
         except MessageError as error:
-            self.fail(f"{self._title} gave a {part.lower()} that does not fit {self.type_name}: {error}")
+            self.fail(f"{self.title} gave a {self.answered.lower()} that does not fit {self.type_name}: {error}")
             raise
 
     def _end(self, end: End) -> None:

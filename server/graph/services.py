@@ -61,7 +61,7 @@ class Call(PendingRequest[Response]):
 
         Raises MessageError for values that do not fit: the call has failed, and its caller knows.
         """
-        self._end(Response(ok=True, values=self._completed("Response", values), reason=reason))
+        self._end(Response(ok=True, values=self._completed(values), reason=reason))
 
     def fail(self, values: object) -> None:
         """Answer that it failed, with a sentence or with what the provider gave."""

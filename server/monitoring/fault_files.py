@@ -1,23 +1,20 @@
 """Files about faults: what came before each, for a person who looks for its cause, or reports it.
 
-A file has a JSON object a line: the fault, the last report of the arm's health, the last minute of the log, and the
-last states of the joints.
+A file has a JSON object a line: the fault, the last report of the arm's health, and the last minute of the log.
 """
 
 import asyncio
 import dataclasses
 import logging
+import math
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import orjson
-from numpy.typing import NDArray
 
 from robot.messages import ArmHealth, ArmState, Mode
 from server.disk import Disk
@@ -30,22 +27,12 @@ PREFIX = "fault-"
 
 WINDOW_S = 60.0
 
-# Of these states, which come 100 times a second at most, the file has some 300 kB.
-MAX_STATES = 1000
-
 # A client that causes and resets faults without end must not wear out a memory card; the next file logs this fault.
 LEAST_INTERVAL_S = 10.0
 
-# Arrays of a state that are kept.
-_QUANTITIES = ("position_rad", "goal_rad", "load", "current_a")
-
-
-# Time [s], and the quantities of all joints, shape (quantities, joints).
-Sample = tuple[float, NDArray[np.float64]]
-
 
 class FaultFiles:
-    """Writes a file of some 300 kB about each fault and each loss of the arm; ``keep`` 0 writes none."""
+    """Writes a file about each fault and each loss of the arm; ``keep`` 0 writes none."""
 
     def __init__(
         self,
@@ -61,11 +48,9 @@ class FaultFiles:
         self._log_ring = log_ring
         self._robot_name = robot_name
         self._clock = clock
-        self._joint_names: tuple[str, ...] = ()
-        self._samples: deque[Sample] = deque(maxlen=MAX_STATES)
         self._state: ArmState | None = None
         self._health: ArmHealth | None = None
-        self._written_s = -np.inf
+        self._written_s = -math.inf
         self._writing: set[asyncio.Task[None]] = set()
         self.latest: Path | None = None
 
@@ -73,11 +58,10 @@ class FaultFiles:
         self._health = health
 
     def take_state(self, state: ArmState) -> None:
-        """Keep a state; begin to write a file when it has a new fault."""
+        """Begin to write a file when a state has a new fault."""
         if self._files is None:
             return
         before, self._state = self._state, state
-        self._keep(state)
         fault = state.fault
         if fault is not None and (before is None or fault != before.fault):
             about = {"code": fault.code.value, "message": fault.message, "remedy": fault.remedy, "joint": fault.joint}
@@ -94,16 +78,6 @@ class FaultFiles:
         self._writing.add(task)
         task.add_done_callback(self._writing.discard)
 
-    def _keep(self, state: ArmState) -> None:
-        """Keep the figures of a state; one without positions has none."""
-        arrays = [array for name in _QUANTITIES if (array := getattr(state, name)) is not None]
-        if len(arrays) < len(_QUANTITIES):
-            return
-        if state.joint_names != self._joint_names:
-            self._joint_names = state.joint_names
-            self._samples.clear()
-        self._samples.append((state.clock_s, np.array(arrays)))
-
     async def close(self) -> None:
         """Wait until the files that were begun are written."""
         if self._writing:
@@ -112,16 +86,12 @@ class FaultFiles:
     async def _write(self, series: FileSeries, about: dict[str, str], state: ArmState) -> None:
         now = datetime.fromtimestamp(state.stamp_s, UTC)
         name = f"{now:%Y%m%dT%H%M%S.%fZ}-{about['code']}"
-        head, end_s = [*self._head(about, state)], state.clock_s
-        # The clock of a process that has started again may be behind.
-        samples = [(at_s - end_s, values) for at_s, values in self._samples if 0.0 <= end_s - at_s <= WINDOW_S]
+        lines = [*self._lines(about, state)]
 
         # In a thread, as it takes some milliseconds.
         def content() -> bytes:
-            # A number that is none, or infinite, is null.
             options = orjson.OPT_APPEND_NEWLINE | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
-            lines = (*head, *map(_state_line, samples))
-            # A warning about a servo is a named tuple, which orjson leaves to us.
+            # A number that is none, or infinite, is null. A named tuple, as of a warning, is left to us.
             return b"".join(orjson.dumps(line, default=list, option=options) for line in lines)
 
         try:
@@ -131,7 +101,7 @@ class FaultFiles:
         else:
             log.info("the last minute before the fault is in %s; armbridge report takes it along", self.latest)
 
-    def _head(self, about: dict[str, str], state: ArmState) -> Iterator[dict[str, Any]]:
+    def _lines(self, about: dict[str, str], state: ArmState) -> Iterator[dict[str, Any]]:
         time_text = datetime.fromtimestamp(state.stamp_s, UTC).isoformat(timespec="milliseconds")
         yield {
             "kind": "fault",
@@ -148,9 +118,3 @@ class FaultFiles:
         for line in self._log_ring.since(now_s - WINDOW_S):
             fields = {"time_s": round(line.monotonic_s - now_s, 3), "level": logging.getLevelName(line.level)}
             yield {"kind": "log", **fields, "process": line.process, "logger": line.logger, "text": line.text}
-
-
-def _state_line(sample: Sample) -> dict[str, Any]:
-    at_s, values = sample
-    quantities = zip(_QUANTITIES, values.round(4).tolist(), strict=True)
-    return {"kind": "state", "time_s": round(at_s, 3), **dict(quantities)}

@@ -3,14 +3,11 @@
 Metrics are Prometheus': counters, and values read from the server's parts and processes at a scrape.
 """
 
-from __future__ import annotations
-
 import asyncio
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from http import HTTPStatus
-from typing import TYPE_CHECKING, Any
 
 from prometheus_client import (
     CONTENT_TYPE_LATEST,
@@ -26,19 +23,11 @@ from prometheus_client.registry import Collector
 from websockets.http11 import Request
 
 from robot.faults import FaultCode
-from robot.messages import ArmHealth, Mode
+from robot.messages import ArmHealth, ArmState, Mode
 from server.execution.goal import Answer
-from server.gateway.connection import Traffic
 from server.gateway.http import HttpResponse, Route
 from server.monitoring.health import Sources, check_health
 from server.monitoring.systemd import SystemdNotifier
-
-if TYPE_CHECKING:
-    from planners.interface import Planners
-    from robot.arm_group import AnyArm
-    from server.execution.queue import GoalQueue
-    from server.recording.recorder import Recorder
-    from server.zenoh.bridge import Bridge
 
 # Upper bounds of buckets [s]. A goal with many constraints takes seconds to plan; most take milliseconds.
 PLANNING_TIME_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
@@ -105,19 +94,13 @@ class Metrics(Collector):
         health = check_health(sources)
         yield GaugeMetricFamily("armbridge_live", "Whether the server does what it can.", int(health.live))
         yield GaugeMetricFamily("armbridge_ready", "Whether /readyz answers 200.", int(health.ready))
-        parts: tuple[tuple[Any, Callable[[Any], Iterator[Metric]]], ...] = (
-            (sources.traffic, client_metrics),
-            (sources.zenoh, zenoh_metrics),
-            (sources.goal_counters, GoalCounters.collect),
-            (sources.queue, queue_metrics),
-            (sources.planners, planner_metrics),
-            (sources.recorder, recording_metrics),
-            (sources.arm, arm_metrics),
-            (_fresh(sources.arm_health), arm_health_metrics),
-        )
-        for part, metrics in parts:
-            if part is not None:
-                yield from metrics(part)
+        yield from figures(sources)
+        if sources.goal_counters is not None:
+            yield from sources.goal_counters.collect()
+        if sources.arm is not None:
+            yield from arm_metrics(sources.arm.state)
+        if (arm_health := _fresh(sources.arm_health)) is not None:
+            yield from arm_health_metrics(arm_health)
 
 
 def _fresh(health: ArmHealth | None) -> ArmHealth | None:
@@ -140,61 +123,40 @@ def _by_label(
     return made
 
 
-# Clients and other machines.
-
-
-def client_metrics(traffic: Traffic) -> Iterator[Metric]:
-    counts = traffic.counts()
-    yield GaugeMetricFamily("armbridge_clients", "Clients that are connected.", traffic.clients)
-    yield GaugeMetricFamily(
-        "armbridge_clients_queued_bytes", "What waits for all clients to read.", traffic.queued_bytes()
-    )
-    for name, meaning, value in (
-        ("armbridge_connections", "Clients that have connected since the start.", traffic.connections),
-        ("armbridge_received_messages", "WebSocket messages that came from clients.", counts.received_messages),
-        ("armbridge_received_bytes", "Bytes that came from clients, handshakes included.", counts.received_bytes),
-        ("armbridge_sent_messages", "WebSocket messages that went to clients.", counts.sent_messages),
-        ("armbridge_sent_bytes", "Bytes of messages that went to clients.", counts.sent_bytes),
-        (
-            "armbridge_dropped_messages",
-            "Messages on topics that clients did not get because they read too slowly.",
-            counts.dropped_messages,
-        ),
-    ):
-        yield CounterMetricFamily(name, meaning, value)
-
-
-def zenoh_metrics(zenoh: Bridge) -> Iterator[Metric]:
-    yield CounterMetricFamily(
-        "armbridge_zenoh_dropped_messages", "Messages lost because network or server were too slow.", zenoh.dropped
-    )
-
-
-# Goals, planners, the recording.
-
-
-def queue_metrics(queue: GoalQueue) -> Iterator[Metric]:
-    yield GaugeMetricFamily("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
-    yield GaugeMetricFamily("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)
-
-
-def planner_metrics(planners: Planners) -> Iterator[Metric]:
-    yield GaugeMetricFamily(
-        "armbridge_planners_waiting_requests", "Requests that wait for a planner.", planners.waiting_count
-    )
-
-
-def recording_metrics(recorder: Recorder) -> Iterator[Metric]:
-    yield CounterMetricFamily(
-        "armbridge_recording_dropped_messages", "Messages missing in the recording.", recorder.dropped
-    )
+def figures(sources: Sources) -> Iterator[Metric]:
+    """Yield the metrics that have one value, of the parts that there are."""
+    gauge, counter = GaugeMetricFamily, CounterMetricFamily
+    if (traffic := sources.traffic) is not None:
+        counts = traffic.counts()
+        yield gauge("armbridge_clients", "Clients that are connected.", traffic.clients)
+        yield gauge("armbridge_clients_queued_bytes", "What waits for all clients to read.", traffic.queued_bytes())
+        yield counter("armbridge_connections", "Clients that have connected since the start.", traffic.connections)
+        meaning = "WebSocket messages that came from clients."
+        yield counter("armbridge_received_messages", meaning, counts.received_messages)
+        meaning = "Bytes that came from clients, handshakes included."
+        yield counter("armbridge_received_bytes", meaning, counts.received_bytes)
+        yield counter("armbridge_sent_messages", "WebSocket messages that went to clients.", counts.sent_messages)
+        yield counter("armbridge_sent_bytes", "Bytes of messages that went to clients.", counts.sent_bytes)
+        meaning = "Messages on topics that clients did not get because they read too slowly."
+        yield counter("armbridge_dropped_messages", meaning, counts.dropped_messages)
+    if (zenoh := sources.zenoh) is not None:
+        meaning = "Messages lost because network or server were too slow."
+        yield counter("armbridge_zenoh_dropped_messages", meaning, zenoh.dropped)
+    if (queue := sources.queue) is not None:
+        yield gauge("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
+        yield gauge("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)
+    if (planners := sources.planners) is not None:
+        meaning = "Requests that wait for a planner."
+        yield gauge("armbridge_planners_waiting_requests", meaning, planners.waiting_count)
+    if (recorder := sources.recorder) is not None:
+        yield counter("armbridge_recording_dropped_messages", "Messages missing in the recording.", recorder.dropped)
 
 
 # The arm; metrics of devices that an ideal arm does not have are left out.
 
 
-def arm_metrics(arm: AnyArm) -> Iterator[Metric]:
-    state, present = arm.state, arm.state.fault and arm.state.fault.code
+def arm_metrics(state: ArmState) -> Iterator[Metric]:
+    present = state.fault and state.fault.code
     modes = ((each.value, int(state.mode is each)) for each in Mode)
     faults = ((each.value, int(present is each)) for each in FaultCode)
     meaning = "1 for what the arm is doing, 0 for all else."

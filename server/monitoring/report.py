@@ -31,7 +31,7 @@ HIDDEN = "***"
 # A shorter text is no token, and may stand anywhere.
 LEAST_SECRET_CHARACTERS = 8
 
-# The newest files about faults, of some 300 kB each; they shrink to a tenth in the archive.
+# The newest files about faults, of at most a megabyte each; they shrink to a tenth in the archive.
 MAX_FAULT_FILES = 20
 
 # Of a file that is copied; a robot.toml has a few kilobytes.
@@ -47,7 +47,7 @@ CONTENTS: Mapping[str, str] = {
     "ports.json": "serial ports of this machine",
     "arm/": "robot.toml and the calibration in use",
     "server/": "the running server: the arm's state, the servos' registers and last minutes, and its last log lines",
-    "faults/": "the last minute of log and joints before each of the last faults",
+    "faults/": "the last minute of the log before each of the last faults",
     "bus/": "the servos as they answer on the bus: registers, and the findings of doctor; only read",
     PROBLEMS: "what could not be had, and why",
 }

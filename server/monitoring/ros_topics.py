@@ -4,6 +4,7 @@ A service changes the loggers' levels, as ROS 2 nodes have one.
 """
 
 import asyncio
+import dataclasses
 import logging
 import math
 import re
@@ -107,17 +108,10 @@ def _arm_values(health: ArmHealth) -> dict[str, str]:
         "real_time_factor": f"{health.real_time_factor:.2f}",
         "loop_lateness_ms": _percentiles_ms(health.lateness_s),
     }
-    bus = health.bus
-    if bus is None:
+    if health.bus is None:
         return values
-    return values | {
-        "bus_round_trip_ms": _percentiles_ms(health.round_trip_s),
-        "bus_sent": str(bus.sent),
-        "bus_replies": str(bus.replies),
-        "bus_timeouts": str(bus.timeouts),
-        "bus_discarded_bytes": str(bus.discarded_bytes),
-        "bus_retries": str(bus.retries),
-    }
+    counts = {f"bus_{name}": str(count) for name, count in dataclasses.asdict(health.bus).items()}
+    return values | {"bus_round_trip_ms": _percentiles_ms(health.round_trip_s)} | counts
 
 
 def _percentiles_ms(values_s: Sequence[float]) -> str:

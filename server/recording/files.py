@@ -1,10 +1,9 @@
-"""MCAP files that are being written: ROS 2 messages as CDR, in one file or a series of them."""
+"""MCAP file that is being written: ROS 2 messages as CDR."""
 
 import contextlib
 import logging
 import os
 import re
-from collections import deque
 from collections.abc import Mapping
 from importlib import metadata
 from pathlib import Path
@@ -14,6 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from protocol import type_descriptions
 from protocol.registry import Registry
+from robot.logs import LogLimiter
 from server.errors import ConfigurationError
 
 log = logging.getLogger("armbridge.recording")
@@ -21,15 +21,11 @@ log = logging.getLogger("armbridge.recording")
 # Messages that are not yet in a chunk are lost with the process; larger chunks would compress better.
 CHUNK_BYTES = 524_288
 
-# A file numbers its channels with 16 bits (MCAP specification, "Channel"); with more the next file begins.
+# A file numbers its channels with 16 bits (MCAP specification, "Channel"); further ones are left out.
 MAX_CHANNELS = 65_535
 
 # No file is ever overwritten; a directory with more recordings of one name is a mistake.
 MAX_NUMBER = 100_000
-
-# Latched messages, such as descriptions and static transforms, are repeated at the start of every file of a series, so
-# that each can be used alone.
-MAX_LATCHED_BYTES = 67_108_864
 
 # rosbag2's key in a channel's metadata; its value is YAML, and its reader wants every policy named.
 QOS_KEY = "offered_qos_profiles"
@@ -74,42 +70,58 @@ class RecordedMessage(NamedTuple):
     octets: bytes
 
 
-class RecordingSeries:
-    """Files ``NAME.mcap``, ``NAME_1.mcap``, ``NAME_2.mcap``, all of them new; all methods may raise OSError.
+class RecordingFile:
+    """A new file ``NAME.mcap``, or ``NAME_1.mcap`` and so on where that exists; all methods may raise OSError.
 
-    Each is an MCAP file with the profile ``ros2`` and a channel for each topic and type.
+    It has the profile ``ros2``, and a channel for each topic and type.
     """
 
-    def __init__(self, path: Path, registry: Registry, limit_bytes: int | None = None, keep: int = 0) -> None:
-        self._path = path
+    def __init__(self, path: Path, registry: Registry, limit_bytes: int | None = None) -> None:
         self._registry = registry
         self._limit_bytes = limit_bytes
-        self._keep = keep
-        self._number = 0
-        self._paths: deque[Path] = deque()
-        self._latched: dict[str, RecordedMessage] = {}
-        self._latched_bytes = 0
-        self._begin()
+        self._stream, self.path = _open_new(path)
+        log.info("recording to %s", self.path)
+        self._schemas: dict[str, int] = {}
+        # By topic and type: the channel's id and its number of messages.
+        self._channels: dict[tuple[str, str], list[int]] = {}
+        self._left_out = LogLimiter()
+        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        try:
+            self._writer.start(profile="ros2", library=f"armbridge {metadata.version('armbridge')}")
+            # Readers recognize the file from here on, and a full disk has raised its error.
+            self._writer.flush()
+        except OSError:
+            self.abandon()
+            raise
 
     @property
-    def path(self) -> Path:
-        return self._paths[-1]
+    def full(self) -> bool:
+        """True for a file that has its size, without the chunk that is not complete yet."""
+        return self._limit_bytes is not None and self._stream.tell() >= self._limit_bytes
 
     def add(self, message: RecordedMessage) -> None:
-        # Without the chunk that is not complete yet.
-        full = self._limit_bytes is not None and self._stream.tell() >= self._limit_bytes
-        if full or len(self._channels) >= MAX_CHANNELS:
-            self.end()
-            self._begin()
-            for latched in self._latched.values():
-                self._write(latched._replace(log_time_ns=message.log_time_ns))
-        if self._limit_bytes is not None and message.latched:
-            previous = self._latched.pop(message.topic, None)
-            self._latched_bytes -= 0 if previous is None else len(previous.octets)
-            if self._latched_bytes + len(message.octets) <= MAX_LATCHED_BYTES:
-                self._latched[message.topic] = message
-                self._latched_bytes += len(message.octets)
-        self._write(message)
+        channel = self._channels.get((message.topic, message.type_name)) or self._new_channel(message)
+        if channel is not None:
+            channel[1] += 1
+            number, count = channel
+            self._writer.add_message(number, message.log_time_ns, message.octets, message.publish_time_ns, count)
+
+    def _new_channel(self, message: RecordedMessage) -> list[int] | None:
+        """Register the channel of a message; None for one too many."""
+        if len(self._channels) >= MAX_CHANNELS:
+            line = f"recording: {message.topic} is left out: {self.path} has {MAX_CHANNELS} topics already, the limit"
+            self._left_out.write(log, logging.WARNING, line, message.topic)
+            return None
+        schema = self._schemas.get(message.type_name)
+        if schema is None:
+            text = type_descriptions.full_text(self._registry, message.type_name)
+            schema = self._writer.register_schema(message.type_name, "ros2msg", text.encode())
+            self._schemas[message.type_name] = schema
+        durability, depth = ("transient_local", 1) if message.latched else ("volatile", 10)
+        qos = {QOS_KEY: _QOS_PROFILE.format(durability=durability, depth=depth, never=_NEVER)}
+        number = self._writer.register_channel(message.topic, "cdr", schema, qos)
+        channel = self._channels[message.topic, message.type_name] = [number, 0]
+        return channel
 
     def flush(self) -> None:
         """End the current chunk, so that it outlives this process."""
@@ -125,46 +137,13 @@ class RecordingSeries:
         with contextlib.suppress(OSError):
             self._stream.close()
 
-    def _write(self, message: RecordedMessage) -> None:
-        channel = self._channels.get((message.topic, message.type_name))
-        if channel is None:
-            schema = self._schemas.get(message.type_name)
-            if schema is None:
-                text = type_descriptions.full_text(self._registry, message.type_name)
-                schema = self._writer.register_schema(message.type_name, "ros2msg", text.encode())
-                self._schemas[message.type_name] = schema
-            durability, depth = ("transient_local", 1) if message.latched else ("volatile", 10)
-            qos = {QOS_KEY: _QOS_PROFILE.format(durability=durability, depth=depth, never=_NEVER)}
-            number = self._writer.register_channel(message.topic, "cdr", schema, qos)
-            channel = self._channels[message.topic, message.type_name] = [number, 0]
-        channel[1] += 1
-        self._writer.add_message(channel[0], message.log_time_ns, message.octets, message.publish_time_ns, channel[1])
 
-    def _begin(self) -> None:
-        self._stream, path = self._open_next()
-        self._paths.append(path)
-        if self._keep and len(self._paths) > self._keep:
-            self._paths.popleft().unlink(missing_ok=True)
-        log.info("recording to %s", path)
-        self._schemas: dict[str, int] = {}
-        # By topic and type: the channel's id and its number of messages.
-        self._channels: dict[tuple[str, str], list[int]] = {}
-        self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        try:
-            self._writer.start(profile="ros2", library=f"armbridge {metadata.version('armbridge')}")
-            # Readers recognize the file from here on, and a full disk has raised its error.
-            self._writer.flush()
-        except OSError:
-            self.abandon()
-            raise
-
-    def _open_next(self) -> tuple[BinaryIO, Path]:
-        while self._number < MAX_NUMBER:
-            number, self._number = self._number, self._number + 1
-            path = self._path.with_stem(f"{self._path.stem}_{number}") if number else self._path
-            with contextlib.suppress(FileExistsError):
-                return path.open("xb"), path
-        raise FileExistsError(f"{self._path} and {MAX_NUMBER - 1} files numbered after it exist already")
+def _open_new(path: Path) -> tuple[BinaryIO, Path]:
+    for number in range(MAX_NUMBER):
+        numbered = path.with_stem(f"{path.stem}_{number}") if number else path
+        with contextlib.suppress(FileExistsError):
+            return numbered.open("xb"), numbered
+    raise FileExistsError(f"{path} and {MAX_NUMBER - 1} files numbered after it exist already")
 
 
 def is_latched(metadata: Mapping[str, str]) -> bool:

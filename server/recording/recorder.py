@@ -1,4 +1,4 @@
-"""Recording of every message that is published on the graph, written to files by a thread."""
+"""Recording of every message that is published on the graph, written to a file by a thread."""
 
 import asyncio
 import logging
@@ -14,7 +14,7 @@ from robot.logs import LogLimiter
 from server.config import RecordingSettings
 from server.errors import StartError
 from server.graph.topics import Graph
-from server.recording.files import RecordedMessage, RecordingSeries
+from server.recording.files import RecordedMessage, RecordingFile
 
 log = logging.getLogger("armbridge.recording")
 
@@ -81,10 +81,10 @@ class Recorder:
         """Open the file, and write to it from now on."""
         limit_bytes = None if self._settings.limit_mb is None else self._settings.limit_mb * BYTES_PER_MB
         try:
-            files = RecordingSeries(self._path, self._registry, limit_bytes, self._settings.keep_files)
+            file = RecordingFile(self._path, self._registry, limit_bytes)
         except OSError as error:
             raise StartError(f"recording.file: {self._path} cannot be written: {error.strerror or error}") from error
-        self._thread = threading.Thread(target=self._write, args=(files,), name="recording", daemon=True)
+        self._thread = threading.Thread(target=self._write, args=(file,), name="recording", daemon=True)
         self._thread.start()
 
     @property
@@ -122,22 +122,22 @@ class Recorder:
 
     # The thread.
 
-    def _write(self, files: RecordingSeries) -> None:
+    def _write(self, file: RecordingFile) -> None:
         try:
-            self._write_until_stopped(files)
-            files.end()
+            self._write_until_stopped(file)
+            file.end()
         except OSError as error:
-            files.abandon()
+            file.abandon()
             log.error(  # noqa: TRY400 - what matters is the sentence
-                "recording ended: %s cannot be written any further: %s", files.path, error.strerror or error
+                "recording ended: %s cannot be written any further: %s", file.path, error.strerror or error
             )
         else:
-            log.info("recording ended: %s", files.path)
+            log.info("recording ended: %s", file.path)
         finally:
             self._ended.set()
             self._queue.clear()
 
-    def _write_until_stopped(self, files: RecordingSeries) -> None:
+    def _write_until_stopped(self, file: RecordingFile) -> None:
         flush_at_s = time.monotonic() + FLUSH_PERIOD_S
         stopping, dropped_logged, drops_logged_at_s = False, 0, -DROPS_LOG_PERIOD_S
         # Once more after the stop, for messages that came until then.
@@ -145,16 +145,19 @@ class Recorder:
             stopping = self._stopping.wait(POLL_PERIOD_S)
             # The messages that are in the queue now; later ones have the next round.
             for number in range(len(self._queue)):
+                if file.full:
+                    log.warning("recording: %s has the size of recording.limit_mb", file.path)
+                    return
                 if number % MESSAGES_AT_A_TIME == MESSAGES_AT_A_TIME - 1:
                     time.sleep(PAUSE_S)
                 published, size_bytes, latched, log_time_ns = self._queue.popleft()
                 octets = cdr.serialize(self._registry, published.type_name, published.msg)
                 times = log_time_ns, published.received.sec * 1_000_000_000 + published.received.nanosec
-                files.add(RecordedMessage(published.topic, published.type_name, latched, *times, octets))
+                file.add(RecordedMessage(published.topic, published.type_name, latched, *times, octets))
                 self._written_bytes += size_bytes
             now_s = time.monotonic()
             if now_s >= flush_at_s:
-                files.flush()
+                file.flush()
                 flush_at_s = now_s + FLUSH_PERIOD_S
             if self.dropped > dropped_logged and now_s - drops_logged_at_s >= DROPS_LOG_PERIOD_S:
                 dropped, dropped_logged, drops_logged_at_s = self.dropped - dropped_logged, self.dropped, now_s

@@ -6,7 +6,6 @@ import asyncio
 import itertools
 import logging
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import uvloop
@@ -32,60 +31,36 @@ log = logging.getLogger("armbridge.recording")
 MESSAGES_AT_A_TIME = 500
 BYTES_AT_A_TIME = 16_777_216
 
-# Pause between end and beginning; without it a recording of one message would be a flood.
-LOOP_PAUSE_S = 0.1
 
-
-@dataclass(frozen=True)
-class ReplayOptions:
-    """Options of a replay: seconds of the recording per second, and time for clients to connect before [s]."""
-
-    path: Path
-    server: ServerSettings
-    access: AccessSettings
-    rate: float
-    delay_s: float
-    loop: bool
-
-
-def replay(options: ReplayOptions) -> None:
+def replay(recording: Path, server: ServerSettings, access: AccessSettings) -> None:
     """Serve a recording to clients until its end, SIGINT or SIGTERM.
 
     Raises RecordingError for the file, ConfigurationError for certificate and tokens, or none where others could
     connect, and StartError for the port.
     """
     # Ahead of the event loop: a signal ends a read that waits at once here.
-    if next(messages(options.path), None) is None:
-        raise RecordingError(options.path, "has no messages of ROS 2")
-    uvloop.run(serve(options))
+    if next(messages(recording), None) is None:
+        raise RecordingError(recording, "has no messages of ROS 2")
+    uvloop.run(serve(recording, server, access))
 
 
-async def serve(options: ReplayOptions) -> None:
+async def serve(recording: Path, server: ServerSettings, access: AccessSettings) -> None:
     """Start a server, play until the end or a signal, stop."""
-    graph = Graph(load_registry(options.server.interfaces))
+    graph = Graph(load_registry(server.interfaces))
     RosApi(graph)
     # There is no arm to control, so no client needs the lease.
-    access = Access(options.access.model_copy(update={"control": "shared"}))
-    listener = Listener(graph, options.server, access=access)
-    player = RecordingPlayer(graph, options.path, options.rate)
+    listener = Listener(graph, server, access=Access(access.model_copy(update={"control": "shared"})))
+    player = RecordingPlayer(graph, recording)
     ending, _hurry = stop_signals()
     on_hangup(listener.reload_certificate, ending.set)
     try:
         await listener.bind()
         await listener.open()
-        log.info("%s", f"replaying {options.path} on {listener.url} (rosbridge)")
-        await unless_ended(ending, _play(player, options), cancel_timeout_s=None)
+        log.info("%s", f"replaying {recording} on {listener.url} (rosbridge)")
+        await unless_ended(ending, player.play(), cancel_timeout_s=None)
     finally:
         await listener.close()
     log.info("replay ended: %d messages published, %d could not be read", player.published, player.unreadable)
-
-
-async def _play(player: RecordingPlayer, options: ReplayOptions) -> None:
-    await asyncio.sleep(options.delay_s)
-    await player.play()
-    while options.loop:
-        await asyncio.sleep(LOOP_PAUSE_S)
-        await player.play()
 
 
 def _next_messages(recorded: Iterator[RecordedMessage]) -> list[RecordedMessage]:
@@ -101,9 +76,8 @@ def _next_messages(recorded: Iterator[RecordedMessage]) -> list[RecordedMessage]
 class RecordingPlayer:
     """Publishes a recording on a graph, with the recorded timing; a topic begins with its first message."""
 
-    def __init__(self, graph: Graph, recording: Path, rate: float) -> None:
+    def __init__(self, graph: Graph, recording: Path) -> None:
         self._recording = recording
-        self._rate = rate
         self._node = graph.node("replay")
         # False for a topic that is left out, by topic and type.
         self._offered: dict[tuple[str, str], bool] = {}
@@ -112,14 +86,14 @@ class RecordingPlayer:
         self.unreadable = 0
 
     async def play(self) -> None:
-        """Publish every message at its time, once through the recording."""
+        """Publish every message at its time."""
         loop = asyncio.get_running_loop()
         started_s, first_ns = loop.time(), None
         recorded = messages(self._recording)
         while read := await asyncio.to_thread(_next_messages, recorded):
             for message in read:
                 first_ns = message.log_time_ns if first_ns is None else first_ns
-                due_s = started_s + (message.log_time_ns - first_ns) / 1e9 / self._rate
+                due_s = started_s + (message.log_time_ns - first_ns) / 1e9
                 # Also when it is late already: clients are served between two messages.
                 await asyncio.sleep(max(0.0, due_s - loop.time()))
                 self._publish(message)

@@ -7,7 +7,8 @@ import logging
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING
+
+import zenoh
 
 from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
 from server.graph.permissions import Identity, Node, Role
@@ -18,9 +19,6 @@ from server.zenoh.services import CalledServices, OfferedServices
 from server.zenoh.session import SessionThread
 from server.zenoh.settings import ZenohSettings, session_config
 from server.zenoh.topics import IncomingTopics, OutgoingTopics
-
-if TYPE_CHECKING:
-    import zenoh
 
 log = logging.getLogger("armbridge.zenoh")
 
@@ -40,19 +38,11 @@ DECODING_THREADS = 2
 STOPS = ("/stop", "/emergency_stop")
 
 
-def bridge_of(settings: ZenohSettings, graph: Graph, access: Access, max_message_bytes: int) -> Bridge | None:
-    """Return the bridge that the settings ask for; None if zenoh is off."""
-    return None if settings.mode == "off" else Bridge(graph, settings, access, max_message_bytes)
-
-
 class Bridge:
-    """Member of a zenoh network, or ConfigurationError where zenoh is missing or rejects the configuration."""
+    """Member of a zenoh network, or ConfigurationError where zenoh rejects the configuration."""
 
     def __init__(self, graph: Graph, settings: ZenohSettings, access: Access, max_message_bytes: int) -> None:
         config = session_config(settings)
-        # Optional, and few servers use it.
-        import zenoh
-
         self._graph = graph
         self._settings = settings
         self._max_message_bytes = max_message_bytes
@@ -115,7 +105,7 @@ class Sharing:
         self._refreshed_s = graph.clock()
         self._discovery = Discovery(network.domain_id, network.tokens.session, self._is_relevant)
         network.thread.submit(self._discovery.subscribe)
-        self._node = network.declare(lambda session: [session.liveliness().declare_token(network.tokens.node())])
+        self._node = network.declare(network.tokens.node())
 
     @property
     def dropped(self) -> int:
@@ -183,8 +173,6 @@ class Discovery:
 
     def subscribe(self, session: zenoh.Session) -> None:
         """Subscribe to tokens, those that exist already first; in the session's thread."""
-        import zenoh
-
         handler = zenoh.handlers.Callback(self._on_token, indirect=False)
         session.liveliness().declare_subscriber(f"{ADMIN_SPACE}/{self._domain_id}/**", handler, history=True)
 
@@ -204,6 +192,4 @@ class Discovery:
                 self.revision += 1
 
     def _on_token(self, sample: zenoh.Sample) -> None:
-        import zenoh
-
         self.update(str(sample.key_expr), alive=sample.kind == zenoh.SampleKind.PUT)

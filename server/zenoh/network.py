@@ -9,27 +9,29 @@ import re
 from collections.abc import Callable, Coroutine, Iterable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeAlias, TypeVar
+
+import zenoh
 
 from protocol import type_descriptions
 from protocol.codecs import cdr
 from protocol.errors import InterfaceError
 from protocol.registry import Registry
 from robot.logs import LogLimiter
+from server.errors import GraphError
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.zenoh.rmw import Endpoint, LivelinessTokens, is_name
 from server.zenoh.session import SessionThread
 
-if TYPE_CHECKING:
-    import zenoh
-
 log = logging.getLogger("armbridge.zenoh")
 
 SharedKind: TypeAlias = Literal["msg", "srv"]
 
 Decoded = TypeVar("Decoded")
+Wanted = TypeVar("Wanted")
+Thing = TypeVar("Thing", bound="Closable")
 
 # Between the name of an action and the names of its services and topics (rcl_action, names.c).
 ACTION_PARTS = "/_action/"
@@ -42,7 +44,7 @@ _HASHES: Mapping[SharedKind, Callable[[Registry, str], str]] = {
 # Warnings that are logged: a machine that invents names must not fill the log.
 MAX_WARNINGS = 200
 
-# Shared topics and services each, in each direction: more than a large robot has.
+# Shared things of one kind, such as topics that come in: more than a large robot has.
 MAX_SHARED = 1_000
 
 
@@ -75,12 +77,21 @@ class Declared(Protocol):
 
 
 class Declaration:
-    """Entities that are declared together, such as a publisher and its liveliness token."""
+    """Entity that is declared, and its liveliness token; ``declare`` is None for a token alone."""
 
-    def __init__(self, thread: SessionThread, declare: Callable[[zenoh.Session], Iterable[Declared]]) -> None:
+    def __init__(
+        self, thread: SessionThread, token: str, declare: Callable[[zenoh.Session], Declared] | None = None
+    ) -> None:
         self._thread = thread
+        self._token = token
+        self._declare = declare
         self._declared: list[Declared] = []
-        thread.submit(lambda session: self._declared.extend(declare(session)))
+        thread.submit(self._declare_both)
+
+    def _declare_both(self, session: zenoh.Session) -> None:
+        if self._declare is not None:
+            self._declared.append(self._declare(session))
+        self._declared.append(session.liveliness().declare_token(self._token))
 
     def undeclare(self) -> None:
         """Take the declarations back, the last one first."""
@@ -132,8 +143,8 @@ class Network:
         """Log a warning, unless it has been logged before."""
         self.warnings.write(log, logging.WARNING, f"zenoh: {text}", text)
 
-    def declare(self, declare: Callable[[zenoh.Session], Iterable[Declared]]) -> Declaration:
-        return Declaration(self.thread, declare)
+    def declare(self, token: str, declare: Callable[[zenoh.Session], Declared] | None = None) -> Declaration:
+        return Declaration(self.thread, token, declare)
 
     def endpoint(self, network_name: str, type_name: str, kind: SharedKind) -> Endpoint | None:
         """Return the endpoint of a topic or service; None if its type is unknown."""
@@ -190,3 +201,35 @@ class Network:
         received = ReceivedMessage(message, len(octets))
         received.complete(self.graph.message_types, type_name)
         return received
+
+
+class Closable(Protocol):
+    """Something that is shared until it is closed."""
+
+    def close(self) -> None:
+        """Share it no longer."""
+
+
+class SharedThings(Generic[Wanted, Thing]):
+    """Things of one kind that are shared, by name: what is wanted of each, and what was made for that."""
+
+    def __init__(self, network: Network, make: Callable[[str, Wanted], Thing]) -> None:
+        self._network = network
+        self._make = make
+        self._made: dict[str, tuple[Wanted, Thing]] = {}
+
+    def follow(self, wanted: Mapping[str, Wanted]) -> None:
+        """Share what is wanted now, as it is wanted, and nothing else."""
+        for name, (former, thing) in list(self._made.items()):
+            if wanted.get(name) != former:
+                del self._made[name]
+                thing.close()
+        for name, each in wanted.items():
+            if name not in self._made and len(self._made) < MAX_SHARED:
+                try:
+                    self._made[name] = each, self._make(name, each)
+                except GraphError as error:
+                    self._network.warn(f"{name} is not shared: {error}")
+
+    def is_shared(self, name: str, thing: Thing) -> bool:
+        return name in self._made and self._made[name][1] is thing

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import threading
 import time
 from base64 import b64decode, b64encode
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+import zenoh
 
 from planners.problem import MoveItErrorCode
 from protocol.codecs import cdr
@@ -19,19 +22,16 @@ from protocol.type_descriptions import message_hash, service_hash
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer, rule_of_service
 from server.arrival import arrived_in
-from server.errors import GraphError, NoAnswerError, ServiceError
+from server.errors import NoAnswerError, ServiceError
 from server.graph.actions import ENDED_KEPT_S, MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
 from server.graph.providers import CompleteResponse
 from server.graph.services import LOCAL_TIMEOUT_S, Response, answer
 from server.moveit.messages import error_code
 from server.timers import call_in_loop
-from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
+from server.zenoh.network import ACTION_PARTS, Declared, Network, SharedNames, SharedThings
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of
 from server.zenoh.session import ReceiveQueue
-
-if TYPE_CHECKING:
-    import zenoh
 
 # Calls of one service of another machine in progress; the others would wait there.
 MAX_OUTGOING_CALLS = 64
@@ -50,11 +50,11 @@ class RemoteService:
         self.endpoint = endpoint
         self._network = network
         self._title = title
-        self._token = network.tokens.entity(EntityKind.CLIENT, endpoint)
-        self._gid = gid_of(self._token)
+        token = network.tokens.entity(EntityKind.CLIENT, endpoint)
+        self._gid = gid_of(token)
         self._sent = 0
         self._in_progress = 0
-        self._declaration = network.declare(lambda session: [session.liveliness().declare_token(self._token)])
+        self._declaration = network.declare(token)
 
     def close(self) -> None:
         self._declaration.undeclare()
@@ -89,8 +89,6 @@ class RemoteService:
             answer(f"{self._title} has not answered")
 
         def get(session: zenoh.Session) -> None:
-            import zenoh
-
             octets = cdr.serialize(network.registry, f"{self.endpoint.type_name}_Request", request)
             session.get(
                 self.endpoint.key(network.domain_id),
@@ -163,7 +161,8 @@ class CalledAction:
         )
         feedback = f"{type_name}_FeedbackMessage"
         self._feedback = Endpoint(f"{parts}feedback", feedback, message_hash(network.registry, feedback))
-        self._declaration = network.declare(self._declare)
+        token = network.tokens.entity(EntityKind.SUBSCRIPTION, self._feedback)
+        self._declaration = network.declare(token, self._declare)
 
     def close(self) -> None:
         """Withdraw the action; goals in progress fail."""
@@ -172,13 +171,10 @@ class CalledAction:
             service.close()
         self._declaration.undeclare()
 
-    def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
-        import zenoh
-
-        network, handler = self._network, zenoh.handlers.Callback(self._on_feedback, indirect=False)
-        key = self._feedback.key(network.domain_id)
-        yield session.declare_subscriber(key, handler, allowed_origin=zenoh.Locality.REMOTE)
-        yield session.liveliness().declare_token(network.tokens.entity(EntityKind.SUBSCRIPTION, self._feedback))
+    def _declare(self, session: zenoh.Session) -> Declared:
+        handler = zenoh.handlers.Callback(self._on_feedback, indirect=False)
+        key = self._feedback.key(self._network.domain_id)
+        return session.declare_subscriber(key, handler, allowed_origin=zenoh.Locality.REMOTE)
 
     def _on_feedback(self, sample: zenoh.Sample) -> None:
         is_own_key = str(sample.key_expr) == self._feedback.key(self._network.domain_id)
@@ -231,22 +227,16 @@ class CalledServices:
         self._network = network
         self._names = names
         # An action by its service send_goal.
-        self._services: dict[str, CalledService | CalledAction] = {}
+        self._services = SharedThings(network, self._make)
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
         """Let clients call the services that exist now, and no others."""
         announced = self._endpoints(entities)
-        wanted = {name: endpoint for name, endpoint in announced.items() if not self._is_taken(name)}
-        for name, service in list(self._services.items()):
-            if wanted.get(name) != service.endpoint:
-                self._services.pop(name).close()
-        for name, endpoint in wanted.items():
-            if name not in self._services and len(self._services) < MAX_SHARED:
-                made, _, part = name.partition(ACTION_PARTS)
-                try:
-                    self._services[name] = (CalledAction if part else CalledService)(self._network, made, endpoint)
-                except GraphError as error:
-                    self._network.warn(f"{endpoint.name} cannot be called: {error}")
+        self._services.follow({name: each for name, each in announced.items() if not self._is_taken(name)})
+
+    def _make(self, name: str, endpoint: Endpoint) -> CalledService | CalledAction:
+        made, _, part = name.partition(ACTION_PARTS)
+        return (CalledAction if part else CalledService)(self._network, made, endpoint)
 
     def _endpoints(self, entities: Iterable[Entity]) -> dict[str, Endpoint]:
         network, found = self._network, dict[str, Endpoint]()
@@ -374,7 +364,7 @@ class OfferedService:
     """Service of this server that other machines may call."""
 
     def __init__(
-        self, network: Network, name: str, endpoint: Endpoint, receive: Callable[[IncomingCall], None]
+        self, network: Network, receive: Callable[[IncomingCall], None], name: str, endpoint: Endpoint
     ) -> None:
         self.name = name
         self.endpoint = endpoint
@@ -383,8 +373,7 @@ class OfferedService:
         self._network = network
         self._receive = receive
         self._key = endpoint.key(network.domain_id)
-        self._token = network.tokens.entity(EntityKind.SERVICE, endpoint)
-        self._declaration = network.declare(self._declare)
+        self._declaration = network.declare(network.tokens.entity(EntityKind.SERVICE, endpoint), self._declare)
 
     def close(self) -> None:
         self._declaration.undeclare()
@@ -409,12 +398,9 @@ class OfferedService:
             # Ends the query: no further reply follows.
             call.query.drop()
 
-    def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
-        import zenoh
-
+    def _declare(self, session: zenoh.Session) -> Declared:
         handler = zenoh.handlers.Callback(self._on_query, indirect=False)
-        yield session.declare_queryable(self._key, handler, complete=True)
-        yield session.liveliness().declare_token(self._token)
+        return session.declare_queryable(self._key, handler, complete=True)
 
     def _on_query(self, query: zenoh.Query) -> None:
         # Tools query all keys that match a pattern to list them, which must not call anything.
@@ -435,7 +421,7 @@ class OfferedServices:
         self._network = network
         self._names = names
         self._authorizer = authorizer
-        self._services: dict[str, OfferedService] = {}
+        self._services = SharedThings(network, functools.partial(OfferedService, network, self._receive))
         self._goals = OfferedGoals(network, authorizer)
         self._lock = threading.Lock()
         self._in_progress = 0
@@ -446,12 +432,7 @@ class OfferedServices:
         for entity in entities:
             if entity.kind is EntityKind.CLIENT and entity.endpoint not in wanted.values():
                 self._network.agrees(entity.endpoint, "srv")
-        for name, service in list(self._services.items()):
-            if wanted.get(name) != service.endpoint:
-                self._services.pop(name).close()
-        for name, endpoint in wanted.items():
-            if name not in self._services and len(self._services) < MAX_SHARED:
-                self._services[name] = OfferedService(self._network, name, endpoint, self._receive)
+        self._services.follow(wanted)
 
     def _wanted(self) -> dict[str, Endpoint]:
         network, graph, found = self._network, self._network.graph, {}

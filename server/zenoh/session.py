@@ -1,7 +1,5 @@
 """The zenoh session's threads, and the way from them to the event loop: a slow network blocks nothing but itself."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 import queue
@@ -9,17 +7,16 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
+from typing import Generic, TypeAlias, TypeVar
+
+import zenoh
 
 from server.timers import call_in_loop
 from server.zenoh.settings import error_text
 
-if TYPE_CHECKING:
-    import zenoh
-
 log = logging.getLogger("armbridge.zenoh")
 
-Job: TypeAlias = "Callable[[zenoh.Session], object]"
+Job: TypeAlias = Callable[[zenoh.Session], object]
 Item = TypeVar("Item")
 
 # One job for each topic that has messages, and one for each call in progress: more means that the network is stuck.
@@ -101,8 +98,6 @@ class SessionThread:
 
     def _open(self) -> zenoh.Session | None:
         """Open the session, however long that takes; returns None if it is closed meanwhile."""
-        import zenoh
-
         logged = ""
         while not self._closing.is_set():
             try:
@@ -115,8 +110,6 @@ class SessionThread:
         return None
 
     def _work(self, session: zenoh.Session, jobs: queue.Queue[Job]) -> None:
-        import zenoh
-
         while not (self._closing.is_set() and jobs.empty()):
             job = jobs.get()
             try:

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
+
+import zenoh
+import zenoh.ext
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
@@ -17,38 +21,40 @@ from server.arrival import arrived_in
 from server.errors import GraphError
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.topics import Subscriber
-from server.zenoh.network import ACTION_PARTS, MAX_SHARED, Declared, Network, SharedNames
+from server.zenoh.network import ACTION_PARTS, Declared, Network, SharedNames, SharedThings
 from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of, is_name
 from server.zenoh.session import ReceiveQueue
 
-if TYPE_CHECKING:
-    import zenoh
-    import zenoh.ext
-
-    Publisher: TypeAlias = zenoh.Publisher | zenoh.ext.AdvancedPublisher
+Publisher: TypeAlias = zenoh.Publisher | zenoh.ext.AdvancedPublisher
 
 # Messages of a topic that wait for the network, the newest; as many as ROS keeps by default.
 MAX_WAITING = 10
 
 
+class SharedTopic(NamedTuple):
+    """Topic as it is published on the network, or subscribed to there."""
+
+    endpoint: Endpoint
+    latched: bool = False
+
+
 class OutgoingTopic:
     """Topic of this server that is published on the network."""
 
-    def __init__(self, network: Network, name: str, endpoint: Endpoint, *, latched: bool) -> None:
-        self.latched = latched
-        self.endpoint = endpoint
+    def __init__(self, network: Network, name: str, topic: SharedTopic) -> None:
         self._network = network
         self._name = name
-        self._token = network.tokens.entity(EntityKind.PUBLISHER, endpoint, latched=latched)
-        self._gid = gid_of(self._token)
+        self._topic = topic
+        token = network.tokens.entity(EntityKind.PUBLISHER, topic.endpoint, latched=topic.latched)
+        self._gid = gid_of(token)
         self._waiting: deque[PublishedMessage] = deque(maxlen=MAX_WAITING)
         self._submitted = False
         self._sent = 0
         # Set in the session's thread, which alone uses it.
         self._publisher: Publisher | None = None
-        self._declaration = network.declare(self._declare)
+        self._declaration = network.declare(token, self._declare)
         subscriber = Subscriber(self._queue)
-        for published in network.graph.subscribe(network.node, name, endpoint.type_name, subscriber):
+        for published in network.graph.subscribe(network.node, name, topic.endpoint.type_name, subscriber):
             self._queue(published)
 
     def close(self) -> None:
@@ -67,17 +73,14 @@ class OutgoingTopic:
             if not self._network.thread.submit(self._send):
                 self._submitted = False
 
-    def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
-        import zenoh.ext
-
-        key = self.endpoint.key(self._network.domain_id)
-        if self.latched:
+    def _declare(self, session: zenoh.Session) -> Declared:
+        key = self._topic.endpoint.key(self._network.domain_id)
+        if self._topic.latched:
             cache = zenoh.ext.CacheConfig(1)
             self._publisher = zenoh.ext.declare_advanced_publisher(session, key, cache=cache, publisher_detection=True)
         else:
             self._publisher = session.declare_publisher(key)
-        yield self._publisher
-        yield session.liveliness().declare_token(self._token)
+        return self._publisher
 
     def _send(self, _session: zenoh.Session) -> None:
         # First, so that later messages are submitted again.
@@ -97,20 +100,14 @@ class OutgoingTopics:
     def __init__(self, network: Network, names: SharedNames) -> None:
         self._network = network
         self._names = names
-        self._topics: dict[str, OutgoingTopic] = {}
+        self._topics = SharedThings(network, functools.partial(OutgoingTopic, network))
 
     def refresh(self, foreign: frozenset[str]) -> None:
         """Publish the topics that exist now, and no others."""
-        wanted = self._wanted(foreign)
-        for name, topic in list(self._topics.items()):
-            if wanted.get(name) != (topic.endpoint, topic.latched):
-                self._topics.pop(name).close()
-        for name, (endpoint, latched) in wanted.items():
-            if name not in self._topics and len(self._topics) < MAX_SHARED:
-                self._topics[name] = OutgoingTopic(self._network, name, endpoint, latched=latched)
+        self._topics.follow(self._wanted(foreign))
 
-    def _wanted(self, foreign: frozenset[str]) -> dict[str, tuple[Endpoint, bool]]:
-        graph, found = self._network.graph, {}
+    def _wanted(self, foreign: frozenset[str]) -> dict[str, SharedTopic]:
+        graph, found = self._network.graph, dict[str, SharedTopic]()
         kept: list[str] = []
         for name, type_name in graph.topic_names.types().items():
             if not set(graph.publishers(name)) - {self._network.node}:
@@ -123,7 +120,7 @@ class OutgoingTopics:
                 network_name = name if is_foreign else self._network.to_network(name)
                 endpoint = self._network.endpoint(network_name, type_name, "msg")
                 if endpoint is not None:
-                    found[name] = endpoint, graph.is_latched(name)
+                    found[name] = SharedTopic(endpoint, graph.is_latched(name))
         # In the log, and to each client that publishes there.
         reason = "of a client does not go to other machines; zenoh.publish does not list it"
         kept = [name for name in kept if self._is_of_clients(name)]
@@ -138,17 +135,12 @@ class OutgoingTopics:
         return is_name(name) and ACTION_PARTS not in name and not is_own
 
 
-class Source(NamedTuple):
-    """Topic of other machines to subscribe to."""
-
-    endpoint: Endpoint
-    latched: bool = False
-
-
 class IncomingTopic:
     """Topic of other machines that this server subscribes to; GraphError if another topic has its name."""
 
-    def __init__(self, network: Network, name: str, source: Source, received: ReceiveQueue[IncomingMessage]) -> None:
+    def __init__(
+        self, network: Network, received: ReceiveQueue[IncomingMessage], name: str, source: SharedTopic
+    ) -> None:
         self.name = name
         self.source = source
         self.waiting: deque[IncomingMessage] = deque(maxlen=MAX_WAITING)
@@ -159,26 +151,22 @@ class IncomingTopic:
         # A flood of goals must neither delay nor drop a stop.
         self._ahead_as = name if rule.at_once and rule.at_once_data is None else ""
         self._key = source.endpoint.key(network.domain_id)
-        self._token = network.tokens.entity(EntityKind.SUBSCRIPTION, source.endpoint, latched=source.latched)
         network.graph.advertise(network.node, name, source.endpoint.type_name, latch=source.latched)
-        self._declaration = network.declare(self._declare)
+        token = network.tokens.entity(EntityKind.SUBSCRIPTION, source.endpoint, latched=source.latched)
+        self._declaration = network.declare(token, self._declare)
 
     def close(self) -> None:
         self._network.graph.unadvertise(self._network.node, self.name)
         self._declaration.undeclare()
 
-    def _declare(self, session: zenoh.Session) -> Iterator[Declared]:
-        import zenoh.ext
-
+    def _declare(self, session: zenoh.Session) -> Declared:
         handler, remote = zenoh.handlers.Callback(self._on_sample, indirect=False), zenoh.Locality.REMOTE
-        if self.source.latched:
-            history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
-            yield zenoh.ext.declare_advanced_subscriber(
-                session, self._key, handler, allowed_origin=remote, history=history
-            )
-        else:
-            yield session.declare_subscriber(self._key, handler, allowed_origin=remote)
-        yield session.liveliness().declare_token(self._token)
+        if not self.source.latched:
+            return session.declare_subscriber(self._key, handler, allowed_origin=remote)
+        history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
+        return zenoh.ext.declare_advanced_subscriber(
+            session, self._key, handler, allowed_origin=remote, history=history
+        )
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         # A message for every key that matches a pattern is ignored: it would be a goal here, and a stop there.
@@ -210,36 +198,27 @@ class IncomingTopics:
         self._names = names
         self._authorizer = authorizer
         self.received = ReceiveQueue[IncomingMessage](network.loop, self._publish)
-        self._topics: dict[str, IncomingTopic] = {}
+        self._topics = SharedThings(network, functools.partial(IncomingTopic, network, self.received))
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
         """Subscribe to the topics that exist now, and to no others."""
-        wanted = self._wanted(self._sources(entities))
-        for name, topic in list(self._topics.items()):
-            if wanted.get(name) != topic.source:
-                self._topics.pop(name).close()
-        for name, source in wanted.items():
-            if name not in self._topics and len(self._topics) < MAX_SHARED:
-                try:
-                    self._topics[name] = IncomingTopic(self._network, name, source, self.received)
-                except GraphError as error:
-                    self._network.warn(f"{source.endpoint.name} does not come in: {error}")
+        self._topics.follow(self._wanted(self._sources(entities)))
 
-    def _wanted(self, sources: Mapping[str, Source]) -> dict[str, Source]:
-        network, found = self._network, dict[str, Source]()
+    def _wanted(self, sources: Mapping[str, SharedTopic]) -> dict[str, SharedTopic]:
+        network, found = self._network, dict[str, SharedTopic]()
         for name, type_name in network.graph.topic_names.types().items():
             if self._names.matches(name) and network.is_own_subscription(name) and not network.is_own_publication(name):
                 own = network.endpoint(network.to_network(name), type_name, "msg")
                 if own is not None:
                     # Not latched: a latched goal is an old one; it must not move the arm of a server that starts.
-                    found[name] = Source(own)
+                    found[name] = SharedTopic(own)
         for name, source in sources.items():
             if name not in found and not self._is_taken(name, source.endpoint.name):
                 found[name] = source
         return found
 
-    def _sources(self, entities: Iterable[Entity]) -> dict[str, Source]:
-        found = dict[str, Source]()
+    def _sources(self, entities: Iterable[Entity]) -> dict[str, SharedTopic]:
+        found = dict[str, SharedTopic]()
         for entity in entities:
             endpoint, name = entity.endpoint, self._network.to_local(entity.endpoint.name)
             if entity.kind is not EntityKind.PUBLISHER or not self._names.matches(name):
@@ -248,7 +227,7 @@ class IncomingTopics:
             if known is not None and known.endpoint == endpoint:
                 found[name] = known._replace(latched=known.latched or entity.latched)
             elif known is None and self._network.agrees(endpoint, "msg"):
-                found[name] = Source(endpoint, entity.latched)
+                found[name] = SharedTopic(endpoint, entity.latched)
         return found
 
     def _is_taken(self, name: str, network_name: str) -> bool:
@@ -263,7 +242,7 @@ class IncomingTopics:
 
     def _publish(self, received: IncomingMessage) -> None:
         topic = received.topic
-        if self._topics.get(topic.name) is not topic:
+        if not self._topics.is_shared(topic.name, topic):
             return
         if topic.decoding:
             self._network.dropped += len(topic.waiting) == MAX_WAITING
@@ -293,7 +272,7 @@ class IncomingTopics:
 
     def _deliver(self, received: IncomingMessage, message: ReceivedMessage) -> None:
         network, topic = self._network, received.topic
-        if self._topics.get(topic.name) is not topic:
+        if not self._topics.is_shared(topic.name, topic):
             return
         with arrived_in(received.epoch):
             if not self._is_rejected(topic.name, message):

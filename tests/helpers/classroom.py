@@ -9,7 +9,7 @@ from pathlib import Path
 
 import psutil
 
-from harness.server import FAST, ROOT
+from harness.server import FAST, ROOT, free_ports
 from harness.waiting import TIMEOUT_S, until_classroom_ready
 
 
@@ -18,9 +18,9 @@ class Room:
 
     def __init__(self, folder: Path, students: int, *options: str) -> None:
         self.folder = folder
-        command = [sys.executable, "-m", "server.cli", "classroom", "--students", str(students), "--port", "0"]
+        command = [sys.executable, "-m", "server.cli", "classroom", "--students", str(students)]
         self.process = subprocess.Popen(
-            [*command, "--data", str(folder), *options],
+            [*command, "--port", str(free_ports(students)), "--data", str(folder), *options],
             cwd=ROOT,
             env={**os.environ, "PYTHONPATH": str(ROOT), **FAST},
         )

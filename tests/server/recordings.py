@@ -7,7 +7,7 @@ from typing import Any
 from protocol.codecs import cdr
 from protocol.messages import Stamp, complete
 from protocol.registry import Registry
-from server.recording.files import RecordedMessage, RecordingSeries
+from server.recording.files import RecordedMessage, RecordingFile
 from server.recording.reading import messages
 
 REGISTRY = Registry.load()
@@ -38,10 +38,10 @@ def text(number: int, topic: str = "/t") -> RecordedMessage:
 def record(path: Path, entries: Iterable[RecordedMessage], registry: Registry = REGISTRY) -> Path:
     """Write a whole recording in place of what is there."""
     path.unlink(missing_ok=True)
-    files = RecordingSeries(path, registry)
+    file = RecordingFile(path, registry)
     for each in entries:
-        files.add(each)
-    files.end()
+        file.add(each)
+    file.end()
     return path
 
 
@@ -53,10 +53,10 @@ def recorded_messages(path: Path) -> list[RecordedMessage]:
 def record_killed(path: Path, chunks: Iterable[Iterable[RecordedMessage]]) -> Path:
     """Write a recording, in these chunks, of a process that ends without ending it."""
     path.unlink(missing_ok=True)
-    files = RecordingSeries(path, REGISTRY)
+    file = RecordingFile(path, REGISTRY)
     for chunk in chunks:
         for each in chunk:
-            files.add(each)
-        files.flush()
-    files.abandon()
+            file.add(each)
+        file.flush()
+    file.abandon()
     return path

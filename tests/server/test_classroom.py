@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from harness.server import free_ports
 from server.classroom import (
     LIST_FILE,
     TEACHER,
@@ -27,7 +28,11 @@ def test_a_bad_classroom_is_refused_before_it_is_made(tmp_path: Path) -> None:
         ({"zenoh": {"mode": "peer"}}, [], "zenoh.mode: must be off in a classroom, not peer"),
         ({"server": {"tcp_port": 9091}}, [], "server.tcp_port: the servers of a classroom have one port each"),
         ({"arm": {"robot": "no such arm"}}, [], "no such arm"),
-        ({"server": {"port": 65_535}}, [], "there are none above 65535"),
+        (
+            {"server": {"port": 65_535}},
+            [],
+            "--port: 2 students need ports in a row, 65535 to 65536: there are 1 to 65535",
+        ),
         ({}, ["student01", "student03"], "--physics: there is no 'student03': the students are student01 to student02"),
     ):
         folder = tmp_path / "class"
@@ -41,7 +46,7 @@ def test_students_by_name_have_physics_and_the_others_none(tmp_path: Path, monke
     module = "server.classroom"
     monkeypatch.setattr(f"{module}.serve", lambda settings, *_: served.append(settings.simulation.kind))
     monkeypatch.setattr(f"{module}.supervise", lambda members: [member.run() for member in members[1:]])
-    run_classroom(Settings.model_validate({"server": {"port": 0}}), 3, 2, tmp_path, ["student02"])
+    run_classroom(Settings.model_validate({"server": {"port": free_ports(3)}}), 3, 2, tmp_path, ["student02"])
     assert served == ["light", "physics", "light"]
 
 
@@ -50,15 +55,15 @@ HOST = "127.0.0.1"
 
 
 def test_ports_follow_the_first_and_end_where_ports_end(tmp_path: Path) -> None:
-    assert [student.port for student in places(3, 9100, tmp_path, HOST)] == [9100, 9101, 9102]
-    students = places(20, 0, tmp_path, HOST)
-    assert len({student.port for student in students}) == len({student.token for student in students}) == 20
-    with pytest.raises(ConfigurationError, match="65530 to 65539, there are none above 65535"):
-        places(10, 65_530, tmp_path, HOST)
+    assert [student.port for student in places(3, 9100, tmp_path)] == [9100, 9101, 9102]
+    assert len({student.token for student in places(20, 9100, tmp_path)}) == 20
+    for first, ports in ((65_530, "65530 to 65539"), (0, "0 to 9")):
+        with pytest.raises(ConfigurationError, match=f"{ports}: there are 1 to 65535"):
+            places(10, first, tmp_path)
 
 
 def test_the_list_has_name_address_and_token_of_each_and_tokens_stay_for_the_next_time(tmp_path: Path) -> None:
-    file, students = tmp_path / LIST_FILE, places(2, 9100, tmp_path, HOST)
+    file, students = tmp_path / LIST_FILE, places(2, 9100, tmp_path)
     write_list(file, students, TOKEN, HOST, tls=True)
     # Lines as awk and cut take them, too.
     assert file.read_bytes().decode() == (
@@ -66,7 +71,7 @@ def test_the_list_has_name_address_and_token_of_each_and_tokens_stay_for_the_nex
         f"student02,wss://127.0.0.1:9101,{students[1].token}\nteacher,wss://127.0.0.1:9100,{TOKEN}\n"
     )
     assert stat.S_IMODE(file.stat().st_mode) == 0o600
-    after = [student.token for student in places(3, 9200, tmp_path, HOST)]
+    after = [student.token for student in places(3, 9200, tmp_path)]
     assert after[:2] == [student.token for student in students]
     assert after[2] not in after[:2]
     assert read_tokens(file)[TEACHER] == TOKEN
@@ -78,12 +83,12 @@ def test_a_file_that_is_no_such_list_is_refused_and_left_alone(tmp_path: Path, t
     assert read_tokens(tmp_path / LIST_FILE) == {}
     (tmp_path / LIST_FILE).write_text(text)
     with pytest.raises(StartError, match="is no list of students"):
-        places(1, 9100, tmp_path, HOST)
+        places(1, 9100, tmp_path)
     assert (tmp_path / LIST_FILE).read_text() == text
 
 
 def test_what_a_server_keeps_is_in_the_students_folder_and_tokens_of_their_name_are_refused(tmp_path: Path) -> None:
-    (student,) = places(1, 9100, tmp_path, HOST)
+    (student,) = places(1, 9100, tmp_path)
     ports = {"student01": 9100, "student02": 9101}
     settings = student.settings(Settings.model_validate({"recording": {"file": "runs/lesson.mcap"}}), TOKEN, ports)
     kept = (settings.scene.file, settings.goals.named_states_file, settings.recording.file)

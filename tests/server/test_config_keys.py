@@ -93,7 +93,6 @@ REFUSED = {
     "[arm]\nwarn_temperature_c = 66": "must rise in this order, not .66",
     '[access]\ntoken = "abc"': r"^access\.token: must have 16 .*, not 3 \(it is not shown",
     '[arm]\non_exit = "fall"': "arm.on_exit.*'fall'",
-    "[recording]\nkeep_files = 3": "recording: .*keep_files needs limit_mb.* not 3",
     "server: port": "not TOML",
 }
 

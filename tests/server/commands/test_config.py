@@ -114,8 +114,6 @@ def test_an_option_out_of_range_is_refused_with_the_range(capsys):
         ("camera test", "--fps", "0", "must be a whole number from 1 to 60, not '0'"),
         ("camera test", "--width", "9", "must be a whole number from 16 to 4096, not '9'"),
         ("camera test", "--quality", "96", "must be a whole number from 1 to 95, not '96'"),
-        ("replay run.mcap", "--rate", "fast", "must be 0.01 to 100, not 'fast'"),
-        ("replay run.mcap", "--delay", "-1", "must be 0 to 3600, not '-1'"),
     ):
         with pytest.raises(SystemExit, match=str(int(ExitCode.USAGE))):
             cli.main([*command.split(), option, value])

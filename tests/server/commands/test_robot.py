@@ -178,7 +178,7 @@ def test_a_replay_has_the_settings_of_a_file_and_needs_a_token(
     config = tmp_path / "armbridge.toml"
     config.write_text("[server]\nport = 0\nhost = '0.0.0.0'\n")
     path = record(tmp_path / "run.mcap", [text(0), text(1)])
-    arguments = ["replay", str(path), "--config", str(config), "--rate", "100"]
+    arguments = ["replay", str(path), "--config", str(config)]
     assert cli.main(arguments) == ExitCode.USAGE
     assert "ARMBRIDGE_ACCESS__TOKEN" in capsys.readouterr().err
     assert cli.main([*arguments, "--insecure"]) == ExitCode.DONE

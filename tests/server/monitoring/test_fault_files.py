@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from harness.clients import arm_client, values_of
@@ -18,9 +17,8 @@ from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.logs import MAX_LINE_CHARACTERS, LogLine
 from robot.messages import ArmState, Mode
 from server.graph.topics import Graph
-from server.monitoring.fault_files import LEAST_INTERVAL_S, MAX_STATES, FaultFiles
+from server.monitoring.fault_files import LEAST_INTERVAL_S, FaultFiles
 from server.monitoring.log_ring import MAX_CHARACTERS, MAX_LINES, SERVICE, LogRing, shown
-from tests.helpers.cost import count_calls
 from tests.helpers.graph import answered
 from tests.helpers.messages import REGISTRY
 from tests.server.monitoring.watched_parts import JOINTS, arm_health
@@ -102,12 +100,9 @@ STALLED = Fault(FaultCode.STALLED, "joint gripper is stalled", "gripper", START_
 HOT = Fault(FaultCode.OVERHEATED, "joint gripper is at 66 degC", "gripper", START_S)
 
 
-def state(at_s: float = 0.0, value: float = 0.0, **fields: Any) -> ArmState:
-    """A state some time after the start, all of whose figures are one."""
-    values = np.full(len(JOINTS), value)
-    arrays = dict.fromkeys(("position_rad", "velocity_rad_s", "load", "current_a", "goal_rad"), values)
-    stamps = {"stamp_s": START_S + at_s, "clock_s": at_s}
-    return ArmState(**{**stamps, "mode": Mode.HOLDING, "joint_names": JOINTS, **arrays, **fields})
+def state(at_s: float = 0.0, **fields: Any) -> ArmState:
+    """A state some time after the start."""
+    return ArmState(**{"stamp_s": START_S + at_s, "mode": Mode.HOLDING, "joint_names": JOINTS, **fields})
 
 
 class World:
@@ -168,31 +163,12 @@ async def test_the_file_has_the_warnings_about_servos(world: World) -> None:
     assert world.lines("health")[0]["joints"][0]["warnings"] == [["warm", "warm: 56 degC", ""]]
 
 
-# Many more states than a file has, and few; that the wall clock is set for the last second changes nothing.
-@pytest.mark.parametrize(
-    ("rate_hz", "jump_s"), [(50, 0.0), *((1, each) for each in (0.0, 3.6e3, -3.6e3, 6.3e8, -6.3e8))]
-)
-async def test_the_file_has_the_last_states_of_the_minute(
-    world: World, ring: LogRing, rate_hz: int, jump_s: float
-) -> None:
-    LOG.warning("the gripper is warm")
-    for number in range(90 * rate_hz):
-        at_s = number / rate_hz
-        world.files.take_state(state(at_s, number, stamp_s=START_S + at_s + jump_s * (at_s >= 89.0)))
-    world.now_s = ring.since(0.0)[-1].monotonic_s
-    await world.latch(90.0, stamp_s=START_S + jump_s + 90.0)
-    states, (line,) = world.lines("state"), world.lines("log")
-    count = min(MAX_STATES, 60 * rate_hz + 1)
-    assert [each["time_s"] for each in states] == pytest.approx(np.arange(1 - count, 1) / rate_hz, abs=0.001)
-    for name in ("position_rad", "goal_rad", "load", "current_a"):
-        assert states[-2][name] == [90.0 * rate_hz - 1.0] * 2
-    assert -60.0 < line["time_s"] <= 0.0
-
-
-async def test_figures_that_are_not_measured_are_null(world: World) -> None:
-    world.files.take_state(state(current_a=np.array([np.nan, 0.5])))
-    await world.latch(at_s=0.1)
-    assert world.lines("state")[0]["current_a"] == [None, 0.5]
+async def test_the_file_has_the_last_minute_of_the_log(world: World, ring: LogRing) -> None:
+    for at_s in (29.0, 31.0, 90.0):
+        ring.take(line(f"{at_s:g}", at_s))
+    world.now_s = 90.0
+    await world.latch()
+    assert [(each["text"], each["time_s"]) for each in world.lines("log")] == [("31", -59.0), ("90", 0.0)]
 
 
 async def test_one_fault_leaves_one_file_and_the_next_one_another(world: World) -> None:
@@ -223,12 +199,6 @@ async def test_a_lost_arm_leaves_a_file_and_one_that_was_never_there_none(world:
     assert world.lines("fault")[0]["message"] == "the port is gone"
 
 
-async def test_a_fault_before_the_first_reading_leaves_a_file_without_states(world: World) -> None:
-    world.files.take_state(ArmState(START_S, Mode.FAULT, JOINTS, fault=STALLED))
-    await world.files.close()
-    assert (len(world.lines("fault")), world.lines("state")) == (1, [])
-
-
 async def test_files_can_be_switched_off(tmp_path: Path, ring: LogRing) -> None:
     world = World(tmp_path, ring, keep=0)
     await world.latch()
@@ -240,11 +210,6 @@ async def test_an_unwritable_directory_is_told_and_nothing_else(world: World, ca
     await world.latch()
     assert "cannot be written" in caplog.text
     assert world.files.latest is None
-
-
-async def test_a_state_is_kept_in_a_few_calls(world: World) -> None:
-    taken = state(0.01)
-    assert count_calls(lambda: world.files.take_state(taken)) < 15
 
 
 @pytest.fixture
@@ -264,4 +229,4 @@ async def test_a_running_server_names_the_file_in_its_log_and_diagnostics(own_se
     assert own_server.server.has_logged(str(path))
     text = await asyncio.to_thread(path.read_text)
     kinds = [json.loads(line)["kind"] for line in text.splitlines()]
-    assert (kinds[0], set(kinds)) == ("fault", {"fault", "health", "log", "state"})
+    assert (kinds[0], set(kinds)) == ("fault", {"fault", "health", "log"})

@@ -4,7 +4,7 @@ import math
 import re
 import urllib.error
 import urllib.request
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -142,28 +142,22 @@ class Talk:
         return TrafficCounts(1, 2, 3, 4, 5)
 
 
-def of_two_clients() -> Iterator[Metric]:
+def of_two_clients() -> Traffic:
     traffic = Traffic()
     for _ in range(2):
         traffic.add(Talk())
-    return parts.client_metrics(traffic)
+    return traffic
 
 
-# Metrics of a part, and values by name and labels.
-COUNTED: list[tuple[Iterator[Metric], dict[str, float]]] = [
-    (parts.queue_metrics(watched.WatchedQueue(2, 1)), {"goals_waiting": 2, "goals_in_hand": 1}),
-    (parts.queue_metrics(watched.WatchedQueue(0, 0)), {"goals_waiting": 0, "goals_in_hand": 0}),
+# Parts of a server, and values by name and labels.
+COUNTED: list[tuple[Sources, dict[str, float]]] = [
+    (Sources(), {}),
+    (Sources(queue=watched.WatchedQueue(2, 1)), {"goals_waiting": 2, "goals_in_hand": 1}),
+    (Sources(planners=watched.WatchedPlanners(waiting_count=3)), {"planners_waiting_requests": 3}),
+    (Sources(recorder=WatchedRecorder(dropped=4)), {"recording_dropped_messages_total": 4}),
+    (Sources(zenoh=WatchedRecorder(dropped=7)), {"zenoh_dropped_messages_total": 7}),
     (
-        parts.planner_metrics(watched.WatchedPlanners(waiting_count=3)),
-        {"planners_waiting_requests": 3},
-    ),
-    (
-        parts.recording_metrics(WatchedRecorder(dropped=4)),
-        {"recording_dropped_messages_total": 4},
-    ),
-    (parts.zenoh_metrics(WatchedRecorder(dropped=7)), {"zenoh_dropped_messages_total": 7}),
-    (
-        of_two_clients(),
+        Sources(of_two_clients()),
         {"clients": 2, "clients_queued_bytes": 140, "connections_total": 2}
         | {"received_messages_total": 2, "received_bytes_total": 4, "sent_messages_total": 6, "sent_bytes_total": 8}
         | {"dropped_messages_total": 10},
@@ -177,18 +171,18 @@ OF_ARM: dict[str, float] = {
 
 
 def test_each_part_is_counted_by_what_it_does() -> None:
-    for metrics, counts in COUNTED:
-        found = {" ".join(key): value for key, value in samples(metrics).items()}
+    for sources, counts in COUNTED:
+        found = {" ".join(key): value for key, value in samples(parts.figures(sources)).items()}
         assert found == {f"armbridge_{name}": value for name, value in counts.items()}
     found = {" ".join(key): value for key, value in samples(parts.arm_health_metrics(arm_health())).items()}
     assert {name: found.get(f"armbridge_{name}") for name in OF_ARM} == OF_ARM
 
 
 def test_the_arms_mode_and_fault_are_ones_among_zeros_and_an_ideal_arm_has_fewer_metrics() -> None:
-    found = samples(parts.arm_metrics(WatchedArm(arm_state(Mode.FAULT, FaultCode.OVERHEATED))))
+    found = samples(parts.arm_metrics(arm_state(Mode.FAULT, FaultCode.OVERHEATED)))
     assert [name[1:] for name, value in found.items() if value == 1] == [("fault",), ("overheated",)]
     assert len(found) == len(Mode) + len(FaultCode)
-    sound = samples(parts.arm_metrics(WatchedArm(arm_state())))
+    sound = samples(parts.arm_metrics(arm_state()))
     assert {value for (name, *_), value in sound.items() if name == "armbridge_arm_fault"} == {0}
     joints = tuple(replace(joint, temperature_c=math.nan) for joint in arm_health().joints)
     found = samples(parts.arm_health_metrics(replace(arm_health(), bus=None, joints=joints)))

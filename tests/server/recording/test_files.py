@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from server.errors import ConfigurationError
 from server.recording import files
-from server.recording.files import QOS_KEY, RecordingSeries, check_path, is_latched
+from server.recording.files import QOS_KEY, RecordingFile, check_path, is_latched
 from tests.server.recordings import REGISTRY, START_NS, entry, record, recorded_messages, text
 
 # One file: what is written is read by the MCAP project's own reader for ROS 2.
@@ -69,81 +69,54 @@ def test_a_foreign_reader_understands_the_schema_of_every_type(tmp_path: Path) -
     assert [one.schema.name for one in foreign(path)] == names
 
 
-# A series of files.
+# The file.
 
 
-def series(path: Path, limit: int | None = 20_000, keep: int = 0) -> RecordingSeries:
-    return RecordingSeries(path, REGISTRY, limit, keep)
+def test_a_file_that_exists_is_left_alone(tmp_path: Path) -> None:
+    for name in ("run.mcap", "run_1.mcap"):
+        (tmp_path / name).write_text("precious")
+    file = RecordingFile(tmp_path / "run.mcap", REGISTRY)
+    file.end()
+    assert file.path == tmp_path / "run_2.mcap"
+    assert {path.read_bytes() for path in tmp_path.iterdir() if path != file.path} == {b"precious"}
 
 
-def fill(written: RecordingSeries, count: int) -> None:
-    """Write pictures of ten kilobytes that do not compress."""
-    for number in range(count):
-        octets = base64.b64encode(random.Random(number).randbytes(10_000)).decode()
-        written.add(entry("/picture", "sensor_msgs/CompressedImage", {"format": "", "data": octets}, number))
-        written.flush()
-    written.end()
+@pytest.mark.parametrize(("limit", "written"), [(20_000, 2), (None, 5)])
+def test_a_file_is_full_when_it_has_its_size(tmp_path: Path, limit: int | None, written: int) -> None:
+    file = RecordingFile(tmp_path / "run.mcap", REGISTRY, limit)
+    for number in range(5):
+        if not file.full:
+            # A picture of ten kilobytes that does not compress.
+            octets = base64.b64encode(random.Random(number).randbytes(10_000)).decode()
+            file.add(entry("/picture", "sensor_msgs/CompressedImage", {"format": "", "data": octets}, number))
+            file.flush()
+    file.end()
+    assert len(recorded_messages(file.path)) == written
 
 
-def topics(path: Path) -> list[str]:
-    return [each.topic for each in recorded_messages(path)]
-
-
-def names(directory: Path) -> list[str]:
-    return sorted(path.name for path in directory.iterdir())
-
-
-def test_a_file_that_exists_is_left_alone_and_one_that_has_its_size_is_followed_by_the_next(tmp_path: Path) -> None:
-    (tmp_path / "run.mcap").write_text("precious")
-    written = series(tmp_path / "run.mcap")
-    fill(written, 5)
-    assert written.path == tmp_path / "run_3.mcap"
-    assert names(tmp_path) == ["run.mcap", *(f"run_{number}.mcap" for number in (1, 2, 3))]
-    assert [len(topics(tmp_path / name)) for name in names(tmp_path)[1:]] == [2, 2, 1]
-    assert (tmp_path / "run.mcap").read_text() == "precious"
-
-
-@pytest.mark.parametrize(
-    ("limit", "keep", "files"), [(20_000, 2, ["run_2.mcap", "run_3.mcap"]), (None, 0, ["run.mcap"])]
-)
-def test_so_many_files_are_kept(tmp_path: Path, limit: int | None, keep: int, files: list[str]) -> None:
-    (tmp_path / "other.mcap").touch()
-    fill(series(tmp_path / "run.mcap", limit, keep), 7)
-    assert names(tmp_path) == ["other.mcap", *files]
-
-
-def test_latched_messages_begin_every_file_up_to_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "MAX_LATCHED_BYTES", 15)
-    written = series(tmp_path / "run.mcap")
-    for topic in ("/small", "/one_too_many"):
-        written.add(text(1, topic)._replace(latched=True))
-    fill(written, 3)
-    assert topics(tmp_path / "run_1.mcap") == ["/small", "/picture"]
-
-
-def test_a_file_with_all_its_channels_is_followed_by_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_topics_for_which_a_file_has_no_number_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     monkeypatch.setattr(files, "MAX_CHANNELS", 3)
-    record(tmp_path / "run.mcap", [text(number, f"/t{number % 5}") for number in range(7)])
-    recorded = [recorded_messages(tmp_path / name) for name in ("run.mcap", "run_1.mcap", "run_2.mcap")]
-    assert [[each.topic for each in messages] for messages in recorded] == [
-        ["/t0", "/t1", "/t2"],
-        ["/t3", "/t4", "/t0"],
-        ["/t1"],
+    path = record(tmp_path / "run.mcap", [text(number, f"/t{number % 5}") for number in range(10)])
+    assert [each.topic for each in recorded_messages(path)] == ["/t0", "/t1", "/t2", "/t0", "/t1", "/t2"]
+    assert [line for line in caplog.messages if "topics already, the limit" in line] == [
+        f"recording: {topic} is left out: {path} has 3 topics already, the limit" for topic in ("/t3", "/t4")
     ]
 
 
 def test_a_disk_that_is_full_from_the_beginning_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     full = Path("/dev/full")
-    monkeypatch.setattr(RecordingSeries, "_open_next", lambda _series: (full.open("wb"), full))
+    monkeypatch.setattr(files, "_open_new", lambda _path: (full.open("wb"), full))
     with pytest.raises(OSError, match="No space left"):
-        series(tmp_path / "run.mcap")
+        RecordingFile(tmp_path / "run.mcap", REGISTRY)
 
 
 def test_there_are_only_so_many_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "MAX_NUMBER", 1)
     (tmp_path / "run.mcap").touch()
     with pytest.raises(FileExistsError, match="numbered after it exist already"):
-        series(tmp_path / "run.mcap")
+        RecordingFile(tmp_path / "run.mcap", REGISTRY)
 
 
 # Quality of service.

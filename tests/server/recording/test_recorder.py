@@ -15,7 +15,7 @@ from server.errors import StartError
 from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.recording import recorder as recorder_module
-from server.recording.files import RecordedMessage, RecordingSeries
+from server.recording.files import RecordedMessage, RecordingFile
 from server.recording.recorder import Recorder
 from tests.server.recordings import REGISTRY, recorded_messages
 
@@ -80,8 +80,8 @@ def test_a_file_that_cannot_be_written_is_refused_with_its_name(graph: Graph, tm
 # The thread.
 
 
-class BlockedFiles(RecordingSeries):
-    """Files on a disk that stands still until it is let go."""
+class BlockedFile(RecordingFile):
+    """File on a disk that stands still until it is let go."""
 
     reached, go_on = threading.Event(), threading.Event()
 
@@ -91,12 +91,20 @@ class BlockedFiles(RecordingSeries):
         super().add(entry)
 
 
-class FullDisk(RecordingSeries):
-    """Files on a disk that has no room any more; the errors are the system's."""
+class FullDisk(RecordingFile):
+    """File on a disk that has no room any more; the errors are the system's."""
 
     def add(self, entry: RecordedMessage) -> None:
         with Path("/dev/full").open("wb", buffering=0) as full:
             full.write(entry.octets)
+
+
+class FullFile(RecordingFile):
+    """File that is full with two messages."""
+
+    @property
+    def full(self) -> bool:
+        return sum(count for _, count in self._channels.values()) == 2
 
 
 def talk(graph: Graph, count: int) -> None:
@@ -111,12 +119,12 @@ Start = Callable[..., Recorder]
 
 @pytest.fixture
 def recording(graph: Graph, run: Path, monkeypatch: pytest.MonkeyPatch) -> Start:
-    """Starts a recorder that writes messages to files of a class."""
-    for event in (BlockedFiles.reached, BlockedFiles.go_on):
+    """Starts a recorder that writes messages to a file of a class."""
+    for event in (BlockedFile.reached, BlockedFile.go_on):
         event.clear()
 
-    def start(count: int, files: type[RecordingSeries] = RecordingSeries) -> Recorder:
-        monkeypatch.setattr(recorder_module, "RecordingSeries", files)
+    def start(count: int, file: type[RecordingFile] = RecordingFile) -> Recorder:
+        monkeypatch.setattr(recorder_module, "RecordingFile", file)
         recorder = Recorder(graph, run, RecordingSettings())
         recorder.start()
         talk(graph, count)
@@ -140,11 +148,11 @@ async def test_a_disk_that_stands_still_costs_messages_and_not_memory(
     limit: str, value: int, graph: Graph, recording: Start, run: Path, monkeypatch: Any, caplog: Any
 ) -> None:
     monkeypatch.setattr(recorder_module, limit, value)
-    recorder = recording(1, BlockedFiles)
-    assert BlockedFiles.reached.wait(TIMEOUT_S)
+    recorder = recording(1, BlockedFile)
+    assert BlockedFile.reached.wait(TIMEOUT_S)
     talk(graph, 10)
     assert recorder.dropped == 7
-    BlockedFiles.go_on.set()
+    BlockedFile.go_on.set()
     await recorder.close()
     assert "7 messages were dropped" in caplog.text
     assert len(recorded_messages(run)) == 4
@@ -158,10 +166,18 @@ async def test_a_full_disk_ends_the_recording_with_one_line(recording: Start, ru
     assert errors == [f"recording ended: {run} cannot be written any further: No space left on device"]
 
 
+async def test_a_recording_that_has_its_size_ends_whole_with_a_line(recording: Start, run: Path, caplog: Any) -> None:
+    recorder = recording(10, FullFile)
+    wait_until(lambda: recorder.ended)
+    await recorder.close()
+    assert f"recording: {run} has the size of recording.limit_mb" in caplog.text
+    assert [deserialize(REGISTRY, each.type_name, each.octets)["data"] for each in recorded_messages(run)] == ["0", "1"]
+
+
 async def test_a_disk_that_never_answers_holds_nobody_up(recording: Start, monkeypatch: Any, caplog: Any) -> None:
     monkeypatch.setattr(recorder_module, "CLOSE_TIMEOUT_S", 0.1)
-    recorder = recording(1, BlockedFiles)
+    recorder = recording(1, BlockedFile)
     await recorder.close()
     assert "run.mcap was not ended within 0.1 s; its content can be read" in caplog.text
-    BlockedFiles.go_on.set()
+    BlockedFile.go_on.set()
     wait_until(lambda: recorder.ended)

@@ -86,7 +86,7 @@ async def test_a_dataset_has_the_gripper_within_a_tenth_of_a_second_of_its_actio
         led.stage.graph.subscribe(Node("recorder"), topic, "sensor_msgs/JointState", Subscriber(take))
     await led.lead(SETTLED_S + 4.0, opening)
     recording = record(tmp_path / "run.mcap", [each for each in recorded if each.log_time_ns > START_NS + 1.5e9])
-    done = export(ExportOptions([recording], tmp_path / "data", fps=50), REGISTRY, lambda _text: None)
+    done = export(ExportOptions(recording, tmp_path / "data", fps=50), REGISTRY, lambda _text: None)
     assert (done.actions, done.problems) == (LEADER_TOPIC, ())
     rows = parquet.read_table(tmp_path / "data/data/chunk-000/file-000.parquet").to_pylist()
     states, actions = (np.array([row[name] for row in rows])[:, GRIPPER] for name in ("observation.state", "action"))

@@ -1,7 +1,8 @@
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -50,9 +51,12 @@ async def test_types_that_are_known_have_an_endpoint(alone: Network, caplog: pyt
 class Jobs:
     """Thread of a session whose jobs are done at once; one that fails ends no other."""
 
+    def __init__(self, session: object) -> None:
+        self.session = session
+
     def submit(self, job: Callable[[Any], object]) -> bool:
         with contextlib.suppress(RuntimeError):
-            job(None)
+            job(self.session)
         return True
 
 
@@ -63,15 +67,19 @@ def test_only_what_was_declared_is_taken_back_the_last_first() -> None:
         def undeclare(self) -> None:
             taken_back.append(self)
 
-    first, second = Declared(), Declared()
+    entity, token = Declared(), Declared()
 
-    def declare(_session: object) -> Iterator[Declared]:
-        yield first
-        yield second
+    def announced() -> SimpleNamespace:
+        return SimpleNamespace(declare_token=lambda _token: token)
+
+    def without_network() -> SimpleNamespace:
         raise RuntimeError("the network")
 
-    Declaration(cast(SessionThread, Jobs()), declare).undeclare()
-    assert taken_back == [second, first]
+    for liveliness, declared in ((announced, [token, entity]), (without_network, [entity])):
+        jobs = cast(SessionThread, Jobs(SimpleNamespace(liveliness=liveliness)))
+        Declaration(jobs, "a token", lambda _session: entity).undeclare()
+        assert taken_back == declared
+        taken_back.clear()
 
 
 def test_a_pattern_fits_whole_names_and_no_patterns() -> None:

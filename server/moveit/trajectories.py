@@ -2,9 +2,9 @@
 
 import asyncio
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from ruckig import RuckigError
@@ -16,6 +16,8 @@ from robot.trajectory import Trajectory, Vector, bridge
 from server.errors import RefusedError, invalid, invalid_plan
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.moveit.messages import Message
+
+Written = TypeVar("Written")
 
 NANOSECONDS_PER_S = 1_000_000_000
 
@@ -58,10 +60,11 @@ def is_long(trajectories: Sequence[Trajectory]) -> bool:
 
 async def to_messages(trajectories: Sequence[Trajectory], frame: str) -> list[Message]:
     """Write moveit_msgs/RobotTrajectory messages; a thread writes long motions."""
+    return await written(trajectories, lambda: [to_message(each, frame) for each in trajectories])
 
-    def write() -> list[Message]:
-        return [to_message(each, frame) for each in trajectories]
 
+async def written(trajectories: Sequence[Trajectory], write: Callable[[], Written]) -> Written:
+    """Return what is written of motions; a thread writes long ones."""
     return await asyncio.to_thread(write) if is_long(trajectories) else write()
 
 

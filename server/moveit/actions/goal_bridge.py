@@ -4,6 +4,7 @@ import asyncio
 import functools
 import logging
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
@@ -50,7 +51,10 @@ def plan_without_moving(
             answer = Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
         else:
             answer = done.result()
-            if answer.code is not MoveItErrorCode.SUCCESS:
+            if answer.code is MoveItErrorCode.SUCCESS:
+                sentences = filter(None, (answer.performed.summary, answer.message))
+                answer = replace(answer, message="; ".join(sentences))
+            else:
                 log.warning("a plan was asked for: %s: %s", answer.code.name, answer.message)
         end(answer)
 

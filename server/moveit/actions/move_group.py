@@ -116,7 +116,8 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
                 planning_goal = read_planning_goal(requests(goal.request), goal.request["planning_options"])
                 if planning_goal.plan_only:
                     goal.feedback({"state": PLANNING})
-                    work = plan_only(planning_goal, goal.sender, context)
+                    asked, diff, warnings = planning_goal.requests, planning_goal.scene_diff, planning_goal.warnings
+                    work = plan_only(asked, goal.sender, context, diff, warnings)
                     # The goal keeps the task alive, which the event loop does not.
                     cancel = plan_without_moving(work, goal.action, lambda answer: _finish(goal, answer, result))
                     cancel_with_goal(goal, cancel)
@@ -207,35 +208,40 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
     Its problems are built once more when the goal's turn comes, for the start that the arm then has. They are built
     here for the present one, so that a goal that cannot be planned does not replace the motion of another.
     """
-    diff, warnings, present_rad = goal.scene_diff, goal.warnings, context.current.positions_rad()
+    diff, warnings, present_rad = goal.scene_diff, [*goal.warnings], context.current.positions_rad()
     if any(request["start_state"]["joint_state"]["name"] for request in goal.requests):
         # As in MoveIt.
-        warnings += ("start_state is ignored: the motion begins where the arm is",)
-    if present_rad is not None:
-        warnings += _check_requests(goal.requests, present_rad, context)
+        warnings.append("start_state is ignored: the motion begins where the arm is")
+    for request in goal.requests if present_rad is not None else ():
+        warnings += context.problems.motion_plan(request, present_rad).warnings
     return PlannedMotion(
         steps=tuple(map(context.problems.request_step, goal.requests)),
         joints=context.problems.joints(goal.requests),
         scene=None if diff is None else lambda now_rad: context.scene_state.with_diff(diff, now_rad),
         attempts=goal.attempts,
         delay_s=goal.delay_s,
-        warnings=warnings,
+        warnings=tuple(warnings),
     )
 
 
-async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) -> Answer:
+async def plan_only(
+    requests: Sequence[Message],
+    sender: Node,
+    context: PlanningContext,
+    scene_diff: Message | None = None,
+    warnings: Sequence[str] = (),
+) -> Answer:
     """Plan from the start state of the first request, completed by positions that the sender assumes."""
-    state, diff = goal.requests[0]["start_state"], goal.scene_diff
+    state, noted = requests[0]["start_state"], [*warnings]
     try:
         start = context.start(state, sender)
         scene = start.scene
-        if diff is not None:
-            scene = context.scene_state.with_diff({**diff, **(attached_diff(state) or {})}, start.start_rad)
-        warnings = _check_requests(goal.requests, start.start_rad, context)
+        if scene_diff is not None:
+            scene = context.scene_state.with_diff({**scene_diff, **(attached_diff(state) or {})}, start.start_rad)
     except RefusedError as error:
         return Answer.of(error.failure)
-    steps = tuple(map(context.problems.request_step, goal.requests))
-    return await plan_steps(steps, start, scene, context, (*goal.warnings, *warnings))
+    steps = [context.problems.request_step(request, noted) for request in requests]
+    return await plan_steps(steps, start, scene, context, noted)
 
 
 async def plan_steps(
@@ -245,20 +251,17 @@ async def plan_steps(
     context: PlanningContext,
     warnings: Sequence[str] = (),
 ) -> Answer:
-    """Plan motions one after the other, without moving, and show them."""
+    """Plan motions one after the other, without moving, and show them; the steps may add warnings."""
     planned = await plan_sequence(steps, start.start_rad, scene, context.pool)
+    if planned.planned:
+        context.display.performed(planned)
     if planned.failure is not None:
         context.display.contacts_of(planned.failure.details)
         failure = await with_nearest_goal(planned.failure, planned.problem, scene, context.pool)
         return Answer.of(failure, planned)
-    context.display.performed(planned)
-    message = "; ".join((planned.summary, *planned.notes, *start.warnings, *warnings))
-    return Answer(MoveItErrorCode.SUCCESS, message, performed=planned)
-
-
-def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:
-    built = [context.problems.motion_plan(request, start_rad) for request in requests]
-    return tuple(warning for one in built for warning in one.warnings)
+    return Answer(
+        MoveItErrorCode.SUCCESS, "; ".join((*start.warnings, *warnings, *planned.notes)), performed=planned
+    )
 
 
 def offer_execute_trajectory(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:

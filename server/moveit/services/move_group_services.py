@@ -14,19 +14,18 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
 from planners.goals import Constraints
-from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, StateQuestion
+from planners.problem import MoveItErrorCode, PlanningFailure, StateQuestion
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
 from server.errors import RefusedError, ServiceError, UnsuccessfulError, required
-from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
-from server.execution.motions import Problem, deviation_note, plan_sequence
+from server.execution.motions import deviation_note
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Node, Rule
 from server.graph.providers import CompleteResponse
 from server.graph.services import Answered, Call, answer
 from server.graph.topics import Graph
-from server.moveit.goals.goal_topics import with_suggestion
+from server.moveit.actions.move_group import move_group_result, plan_only, sequence_result
 from server.moveit.messages import Message, error_code, success, write_pose
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.requests.constraints import known_link, read_path_constraints
@@ -40,7 +39,7 @@ from server.moveit.requests.planning_problems import (
     sequence_requests,
 )
 from server.moveit.scene.frames import seen_from
-from server.moveit.trajectories import to_messages
+from server.moveit.trajectories import to_messages, written
 
 log = logging.getLogger("armbridge.moveit")
 
@@ -173,34 +172,18 @@ def _contacts(pairs: Sequence[Mapping[str, Any]], robot: RobotModel, scene: Scen
 async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
     """Plan a motion; returns the response of moveit_msgs/GetMotionPlan."""
     plan_request = request["motion_plan_request"]
-    start = context.start(plan_request["start_state"], caller)
-    built = context.problems.motion_plan(plan_request, start.start_rad)
-    plan = await context.pool.ask(built.problem, start.scene)
-    if isinstance(plan, PlanningFailure):
-        raise RefusedError(await explained(plan, built.problem, start.scene, context))
-    if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
-        raise RefusedError(await explained(plan.stopped_by, built.problem, start.scene, context))
-    root = context.robot.root_link
-    start_state = state_message(dict(start.start_rad), root, 0.0)
-    [trajectory] = await to_messages([plan.trajectory], root)
-    context.display.trajectories([trajectory], start_state)
+    group = context.problems.group(plan_request["group_name"])
+    answer = await plan_only([plan_request], caller, context)
+    result = await written(answer.performed.planned, lambda: move_group_result(answer, context.robot))
     response = {
-        "trajectory_start": start_state,
-        "group_name": built.problem.group,
-        "trajectory": trajectory,
-        "planning_time": plan.planning_time_s,
-        "error_code": success(*start.warnings, *built.warnings, deviation_note(plan.deviation)),
+        "trajectory_start": result["trajectory_start"],
+        "group_name": group.name,
+        "trajectory": result["planned_trajectory"],
+        "planning_time": result["planning_time"],
+        "error_code": result["error_code"],
     }
     context.display.pipeline(plan_request, response)
     return {"motion_plan_response": response}
-
-
-async def explained(
-    failure: PlanningFailure, problem: Problem | None, scene: Scene, context: PlanningContext
-) -> PlanningFailure:
-    """Return a failure whose message says what would work, if anything was found."""
-    added = await with_nearest_goal(failure, problem, scene, context.pool)
-    return replace(added, message=with_suggestion(added.message, added.details, context.robot))
 
 
 async def compute_cartesian_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
@@ -239,26 +222,8 @@ async def plan_sequence_path(context: PlanningContext, request: Message, caller:
 
     If an item cannot be planned, the response has the motions of the items before it, and the item's error code.
     """
-    requests = sequence_requests(request["request"])
-    steps = [*map(context.problems.request_step, requests)]
-    start = context.start(requests[0]["start_state"], caller)
-    planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool)
-    root, performed, failure = context.robot.root_link, planned, planned.failure
-    if failure is not None:
-        failure = await explained(failure, planned.problem, start.scene, context)
-    start_state = state_message(dict(start.start_rad), root, 0.0)
-    trajectories = await to_messages(performed.planned, root)
-    context.display.trajectories(trajectories, start_state)
-    return {
-        "response": {
-            "error_code": success(*start.warnings, *planned.notes)
-            if failure is None
-            else error_code(failure.code, failure.message),
-            "sequence_start": start_state,
-            "planned_trajectories": trajectories,
-            "planning_time": performed.planning_time_s,
-        }
-    }
+    answer = await plan_only(sequence_requests(request["request"]), caller, context)
+    return await written(answer.performed.planned, lambda: sequence_result(answer, context.robot))
 
 
 def query_planner_interface(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler

@@ -308,35 +308,31 @@ def _invalid_state(failure: PlanningFailure) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class MoveGroupService:
-    """Service of move_group; ``complete`` where the handler writes every field of a response that may be large."""
+    """Service of move_group, whose handler writes every field of the response."""
 
     type_name: str
     handler: Handler
     rejection: Callable[[PlanningFailure], dict[str, Any]] = _error_response
-    complete: bool = False
     rule: Rule = PLANNING
 
 
 SERVICES: Mapping[str, MoveGroupService] = {
     "/plan_kinematic_path": MoveGroupService(
-        "GetMotionPlan",
-        plan_kinematic_path,
-        lambda failure: {"motion_plan_response": _error_response(failure)},
-        complete=True,
+        "GetMotionPlan", plan_kinematic_path, lambda failure: {"motion_plan_response": _error_response(failure)}
     ),
     "/compute_ik": MoveGroupService("GetPositionIK", compute_ik),
-    "/compute_fk": MoveGroupService("GetPositionFK", compute_fk, complete=True, rule=LOOKING),
-    "/compute_cartesian_path": MoveGroupService("GetCartesianPath", compute_cartesian_path, complete=True),
-    "/check_state_validity": MoveGroupService("GetStateValidity", check_state_validity, _invalid_state, complete=True),
+    "/compute_fk": MoveGroupService("GetPositionFK", compute_fk, rule=LOOKING),
+    "/compute_cartesian_path": MoveGroupService("GetCartesianPath", compute_cartesian_path),
+    "/check_state_validity": MoveGroupService("GetStateValidity", check_state_validity, _invalid_state),
     "/plan_sequence_path": MoveGroupService(
-        "GetMotionSequence", plan_sequence_path, lambda failure: {"response": _error_response(failure)}, complete=True
+        "GetMotionSequence", plan_sequence_path, lambda failure: {"response": _error_response(failure)}
     ),
     "/query_planner_interface": MoveGroupService(
         "QueryPlannerInterfaces", query_planner_interface, _fail_call, rule=LOOKING
     ),
     "/get_planner_params": MoveGroupService("GetPlannerParams", get_planner_params, _fail_call, rule=LOOKING),
     "/set_planner_params": MoveGroupService("SetPlannerParams", set_planner_params, _fail_call, rule=CONFIGURING),
-    "/get_urdf": MoveGroupService("GetGroupUrdf", get_urdf, complete=True, rule=LOOKING),
+    "/get_urdf": MoveGroupService("GetGroupUrdf", get_urdf, rule=LOOKING),
 }
 
 
@@ -355,7 +351,7 @@ def _start(service: MoveGroupService, context: PlanningContext, call: Call) -> N
 
 def _respond(service: MoveGroupService, context: PlanningContext, call: Call) -> Answered:
     try:
-        return _response(service, call, cast(Message, service.handler(context, call.request, call.caller)))
+        return _response(call, cast(Message, service.handler(context, call.request, call.caller)))
     except RefusedError as error:
         return _rejection(service, context, call, error.failure)
 
@@ -368,7 +364,7 @@ async def _respond_later(service: MoveGroupService, context: PlanningContext, ca
     await context.scene_state.settled()
     try:
         handled = service.handler(context, call.request, call.caller)
-        return _response(service, call, await handled if inspect.isawaitable(handled) else handled)
+        return _response(call, await handled if inspect.isawaitable(handled) else handled)
     except RefusedError as error:
         return _rejection(service, context, call, error.failure)
 
@@ -381,7 +377,7 @@ def _rejection(
     return service.rejection(failure)
 
 
-def _response(service: MoveGroupService, call: Call, response: Message) -> Answered:
+def _response(call: Call, response: Message) -> CompleteResponse:
     # ROS 1 has no field for the message of an error code, so it is logged.
     inner = next((response[name] for name in ("motion_plan_response", "response") if name in response), response)
     code = inner.get("error_code")
@@ -389,4 +385,4 @@ def _response(service: MoveGroupService, call: Call, response: Message) -> Answe
         name = MoveItErrorCode(code["val"]).name
         level = logging.INFO if code["val"] == MoveItErrorCode.SUCCESS else logging.WARNING
         log.log(level, "%s: %s: %s", call.service, name, code["message"])
-    return CompleteResponse(response) if service.complete else response
+    return CompleteResponse(response)

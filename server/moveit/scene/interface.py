@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from planners.scene_checks import MAX_SCENE_TRIANGLES, MAX_SHAPES
-from protocol.errors import MessageError
 from protocol.messages import ListLimits
 from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
@@ -178,13 +177,14 @@ def _subscribe_to_scene_topics(node: LocalNode, state: SceneState, current: Curr
         "/attached_collision_object": ("moveit_msgs/msg/AttachedCollisionObject", state.attached_object),
     }
 
-    def end(topic: str, refusal: MessageError | RefusedError | None) -> None:
+    def end(topic: str, refusal: BaseException | None) -> None:
         if refusal is not None:
             log.warning("%s: refused, nothing is changed: %s", topic, refusal)
 
     def deliver(published: PublishedMessage) -> None:
         _, read = topics[published.topic]
-        state.submit(read(published.msg), current.positions_rad(), functools.partial(end, published.topic))
+        applied = state.submit(read(published.msg), current.positions_rad())
+        applied.add_done_callback(lambda applied: end(published.topic, applied.exception()))
 
     for topic, (type_name, _) in topics.items():
         node.subscribe(topic, type_name, deliver, functools.partial(end, topic), limits=SCENE_LIMITS, rule=WORKING)
@@ -281,22 +281,31 @@ class SceneInterface:
     def _apply(self, call: Call) -> None:
         scene, caller, assumed = call.request["scene"], call.caller, self._assumed
 
-        def end(refusal: RefusedError | None) -> None:
-            if refusal is None:
+        def refuse(reason: object) -> None:
+            log.warning("%s: refused, nothing is changed: %s", APPLY, reason)
+            call.succeed({"success": False}, f"refused, nothing is changed: {reason}")
+
+        def end(applied: asyncio.Future[None]) -> None:
+            if applied.cancelled():
+                refuse("its request ended before the change was applied")
+            elif (refusal := applied.exception()) is not None:
+                refuse(refusal)
+            else:
                 # What a client that has left assumed is nobody's.
                 if not call.caller_left:
                     assumed.assume(caller, assumed_rad)
                 call.succeed({"success": True})
-            else:
-                log.warning("%s: refused, nothing is changed: %s", APPLY, refusal)
-                call.succeed({"success": False}, f"refused, nothing is changed: {refusal}")
 
-        assumed_rad = None
         try:
             assumed_rad = assumed.after(caller, scene["robot_state"])
         except RefusedError as error:
-            end(error)
+            refuse(error)
             return
         positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
+        applied = self._state.submit(self._state.diff(scene), positions_rad)
+        if applied.done():
+            end(applied)
+            return
+        applied.add_done_callback(end)
         # A client that has left got no failure as an answer: its change is made all the same.
-        self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
+        call.when_ended(lambda _response: call.caller_left or applied.cancel())

@@ -238,7 +238,7 @@ class NamedScenes(NamedFiles):
         content = await self.read(name, lambda path: read_json(path, MAX_SCENE_BYTES), "loaded")
         try:
             message = complete_scene(self._message_types, content)
-            await self._state.change(self._state.diff(message), positions_rad)
+            await self._state.submit(self._state.diff(message), positions_rad)
         except (MessageError, RefusedError) as error:
             raise ServiceError(f"the scene {name!r} cannot be loaded: {error}") from error
         return f"the scene {name!r} is loaded, with {objects_in_words(self._state.contents)}"

@@ -71,7 +71,7 @@ def move_group_result(answer: Answer, robot: RobotModel) -> Message:
     performed = answer.performed
     return {
         "error_code": _explained_code(answer, robot),
-        "trajectory_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
+        "trajectory_start": state_message(performed.start_rad, robot.root_link, 0.0),
         "planned_trajectory": _trajectory_message(next(iter(performed.planned), None), robot),
         # The arm's states are on /joint_states.
         "executed_trajectory": _trajectory_message(None, robot),
@@ -83,7 +83,7 @@ def sequence_result(answer: Answer, robot: RobotModel) -> Message:
     performed = answer.performed
     response = {
         "error_code": _explained_code(answer, robot),
-        "sequence_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
+        "sequence_start": state_message(performed.start_rad, robot.root_link, 0.0),
         "planned_trajectories": [_trajectory_message(motion, robot) for motion in performed.planned],
         "planning_time": performed.planning_time_s,
     }

@@ -71,7 +71,7 @@ async def compute_ik(context: PlanningContext, request: Message, caller: Node) -
         # As MoveIt answers: clients that try one pose after the other go on where there is no solution.
         found = replace(found, code=MoveItErrorCode.NO_IK_SOLUTION)
     answer = required(found)
-    solution = state_message(dict(answer.positions_rad[0]), context.robot.root_link, 0.0)
+    solution = state_message(answer.positions_rad[0], context.robot.root_link, 0.0)
     return {"solution": solution, "error_code": success(*built.warnings, deviation_note(answer.deviations[0]))}
 
 
@@ -199,7 +199,7 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
     built = await asyncio.to_thread(read, request, start.start_rad) if long else read(request, start.start_rad)
     plan = required(await context.pool.ask(built.problem, start.scene))
     root = context.robot.root_link
-    start_state = state_message(dict(start.start_rad), root, 0.0)
+    start_state = state_message(start.start_rad, root, 0.0)
     [solution] = await to_messages([plan.trajectory], root)
     context.display.trajectories([solution], start_state)
     if plan.stopped_by is not None:

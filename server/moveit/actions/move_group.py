@@ -192,9 +192,8 @@ def changes_scene(scene: Message) -> bool:
     A field that the client has left out has ``is_diff`` false, and must not empty the world.
     """
     world, attached = scene["world"]["collision_objects"], scene["robot_state"]["attached_collision_objects"]
-    matrix, settings = scene["allowed_collision_matrix"], ("link_padding", "link_scale", "fixed_frame_transforms")
-    named = matrix["entry_names"] or matrix["default_entry_names"]
-    return bool(world or attached or named or any(scene[field] for field in settings))
+    matrix, links = scene["allowed_collision_matrix"], scene["link_padding"] or scene["link_scale"]
+    return bool(world or attached or matrix["entry_names"] or matrix["default_entry_names"] or links)
 
 
 def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotion:

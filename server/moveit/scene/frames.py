@@ -1,4 +1,4 @@
-"""Frames by name: links, collision objects, their subframes, and fixed frames."""
+"""Frames by name: links, collision objects, and their subframes."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def find_frame(frame_id: str, around: SceneContents, links: LinkTransforms) -> P
     """Return the pose of a frame in the root link.
 
     The empty name, ``world`` and the root link are the root link itself; a leading slash does not matter. A subframe
-    is named ``OBJECT/SUBFRAME``. Links are found before objects, and objects before fixed frames.
+    is named ``OBJECT/SUBFRAME``. Links are found before objects.
     """
     name = frame_id.removeprefix("/")
     if not name:
@@ -94,11 +94,9 @@ def find_frame(frame_id: str, around: SceneContents, links: LinkTransforms) -> P
         found = _object_frame(object_name, subframe, around, links)
         if found is not None:
             return found
-    if name in around.fixed_frames:
-        return around.fixed_frames[name]
     if name == WORLD:
         return IDENTITY
-    known = [*links.robot.links, *around.objects, *around.attached, *around.fixed_frames]
+    known = [*links.robot.links, *around.objects, *around.attached]
     listed = ", ".join(known[:MAX_LISTED]) + (", ..." if len(known) > MAX_LISTED else "")
     raise _unknown(name, f"there is no frame {name!r}; known are {listed}")
 

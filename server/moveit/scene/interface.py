@@ -29,7 +29,7 @@ from server.moveit.scene.collision_objects import (
     CollisionObject,
 )
 from server.moveit.scene.geometry_files import offer_geometry_files
-from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
+from server.moveit.scene.planning_scene import MAX_COLORS, NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
 
 log = logging.getLogger("armbridge.scene")
@@ -44,7 +44,6 @@ SCENE_LIMITS = ListLimits(
         **{f"moveit_msgs/msg/CollisionObject.{each}": MAX_SHAPES for each in _SHAPE_LISTS},
         "moveit_msgs/msg/CollisionObject.subframe_names": 2 * MAX_SUBFRAMES,
         "moveit_msgs/msg/CollisionObject.subframe_poses": 2 * MAX_SUBFRAMES,
-        "moveit_msgs/msg/PlanningScene.fixed_frame_transforms": MAX_FIXED_FRAMES,
         "moveit_msgs/msg/PlanningScene.object_colors": MAX_COLORS,
         # Some may be removed, and others added.
         "moveit_msgs/msg/PlanningSceneWorld.collision_objects": 2 * MAX_SHAPES,
@@ -98,16 +97,15 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
     settings = requested & SCENE_SETTINGS
     links = robot.links if requested & LINK_PADDING_AND_SCALING else ()
     colors = contents.colors if requested & OBJECT_COLORS else {}
-    # As in MoveIt the planning frame is among the fixed frames.
-    frames = {robot.root_link: IDENTITY, **contents.fixed_frames} if requested & TRANSFORMS else {}
+    # As in MoveIt the planning frame is among the fixed frames; here it is the only one.
+    frames = (robot.root_link,) if requested & TRANSFORMS else ()
     header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
     return {
         "name": contents.name if settings else "",
         "robot_state": _state(contents, state, requested),
         "robot_model_name": robot.name if settings else "",
         "fixed_frame_transforms": [
-            {"header": header, "child_frame_id": name, "transform": write_transform(pose)}
-            for name, pose in frames.items()
+            {"header": header, "child_frame_id": name, "transform": write_transform(IDENTITY)} for name in frames
         ],
         "allowed_collision_matrix": contents.allowed_collisions.message
         if requested & ALLOWED_COLLISION_MATRIX
@@ -121,9 +119,8 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
 
 
 def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -> dict[str, Any]:
-    """Write the moveit_msgs/PlanningScene that turns one scene into another; it cannot remove colours and frames."""
+    """Write the moveit_msgs/PlanningScene that turns one scene into another; it cannot remove colours."""
     changes = {
-        TRANSFORMS: before.fixed_frames != after.fixed_frames,
         ALLOWED_COLLISION_MATRIX: before.allowed_collisions != after.allowed_collisions,
         LINK_PADDING_AND_SCALING: (before.padding_m, before.scale) != (after.padding_m, after.scale),
         OBJECT_COLORS: before.colors != after.colors,

@@ -82,7 +82,7 @@ class SceneState(CurrentScene):
         attached = scene["robot_state"]["attached_collision_objects"]
         elements = _elements([*scene["world"]["collision_objects"], *(each["object"] for each in attached)])
         elements += len(scene["allowed_collision_matrix"]["entry_names"]) ** 2
-        elements += OBJECT_ELEMENTS * (len(scene["fixed_frame_transforms"]) + len(scene["object_colors"]))
+        elements += OBJECT_ELEMENTS * len(scene["object_colors"])
         return SceneChange(lambda draft: self._apply_scene(draft, message), elements)
 
     def world(self, message: Message) -> SceneChange:
@@ -158,6 +158,9 @@ class SceneState(CurrentScene):
         model = message.get("robot_model_name", "")
         if model not in ("", self.robot.name):
             log.warning("planning scene: robot_model_name is %r; this robot is %r", model, self.robot.name)
+        frames = (entry["child_frame_id"] for entry in message.get("fixed_frame_transforms", ()))
+        if ignored := [frame for frame in frames if frame.removeprefix("/") not in ("", self.frame)]:
+            log.warning("planning scene: fixed_frame_transforms are ignored, such as %r", ignored[0])
         apply_planning_scene(draft, message, self._srdf_matrix)
 
     async def _apply_waiting(self) -> None:

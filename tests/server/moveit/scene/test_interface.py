@@ -233,14 +233,12 @@ def test_nothing_is_published_of_a_change_that_is_reverted_in_time_nor_after_the
 
 STATE = state_message(BENT, ROBOT.root_link, 0.0)
 RED = {"r": 1.0, "g": 0.0, "b": 0.0, "a": 1.0}
-WALL = {"child_frame_id": "wall", "header": {"frame_id": "base_link"}, "transform": {"translation": {"x": 2.0}}}
 RACK = {**box("rack", at=pose(0.3)), "subframe_names": ["hook"], "subframe_poses": [pose(0.1)]}
 SETTINGS = {
     "name": "kitchen",
     "link_padding": [{"link_name": "wrist_link", "padding": 0.01}],
     "link_scale": [{"link_name": "wrist_link", "scale": 1.25}],
     "object_colors": [{"id": "rack", "color": RED}],
-    "fixed_frame_transforms": [WALL],
     "allowed_collision_matrix": {"default_entry_names": ["rack"], "default_entry_values": [True]},
 }
 
@@ -329,6 +327,5 @@ def test_a_diff_turns_one_scene_into_another(first, then):
         assert {name: each.message for name, each in mine.items()} == {name: e.message for name, e in others.items()}
     assert (ours.padding_m, ours.scale) == (theirs.padding_m, theirs.scale)
     assert ours.allowed_collisions == theirs.allowed_collisions
-    # A difference removes no colours and frames.
+    # A difference removes no colours.
     assert theirs.colors.items() <= ours.colors.items()
-    assert theirs.fixed_frames.items() <= ours.fixed_frames.items()

@@ -106,7 +106,6 @@ async def test_all_that_clients_added_is_there_at_the_next_start(path: Path, cap
             },
             link_padding=[{"link_name": "gripper_link", "padding": 0.01}],
             object_colors=[{"id": "wall", "color": COLOR}],
-            fixed_frame_transforms=[{"header": {"frame_id": ROBOT.root_link}, "child_frame_id": "table"}],
         )
         kept = run.message()
     async with Run(path) as again:

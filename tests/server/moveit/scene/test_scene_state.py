@@ -120,11 +120,14 @@ def test_with_diff_does_not_change_the_scene():
     assert rejection(state.with_diff, diff(world={"collision_objects": [{"id": "x"}]}), BENT).details["object"] == "x"
 
 
-def test_a_scene_for_another_robot_is_taken_with_a_warning_and_an_unknown_touch_link_is_refused(caplog):
+def test_another_robots_name_and_frames_are_ignored_with_a_warning_and_an_unknown_touch_link_is_refused(caplog):
     state, touching = scene_state(box("cup")), held("cup", touch_links=("hand",))
+    frames = [{"child_frame_id": name} for name in (ROBOT.root_link, "camera")]
     with caplog.at_level(logging.WARNING, "armbridge"):
-        state.apply_diff(diff(robot_model_name="panda"), BENT)
+        state.apply_diff(diff(robot_model_name="panda", fixed_frame_transforms=frames), BENT)
     assert "'panda'" in caplog.text
+    assert "'camera'" in caplog.text
+    assert ROBOT.root_link not in caplog.text
     assert rejection(state.apply, state.attached_object(touching).apply, BENT).code is MoveItErrorCode.INVALID_LINK_NAME
 
 

@@ -250,32 +250,34 @@ class KeptWays:
         return _Place(held_rad, self._planning.scene_state.scene.version, tuple(arms), self._arm.state.pace.speed_limit)
 
     async def _plan(self, place: _Place) -> None:
-        scene = self._planning.scene_state.scene
-        refusal: RefusedError | None = None
-        plans: dict[ArmParking, Plan] = {}
+        refusal, plans = "", dict[ArmParking, Plan]()
         try:
-            for each in self._parkings:
-                if each.holds:
-                    plans[each] = await each.plan_way(place.held_rad)
-            for first, second in itertools.combinations((plan.trajectory for plan in plans.values()), 2):
-                moving = {*first.joint_names, *second.joint_names}
-                others_rad = {name: value for name, value in place.held_rad.items() if name not in moving}
-                question = ConcurrencyQuestion(first, second, others_rad)
-                if contact := required(await self._planning.pool.ask(question, scene)).contact:
-                    raise RefusedError(contact)
+            plans = await self._plans(place)
         except RefusedError as error:
-            refusal, plans = error, {}
+            refusal = str(error)
         if (now := self._here()) is None or not now.same_as(place):
             return
         # Also after a failure: the ways are not planned again before something has changed.
         self._place = place
-        if refusal is not None:
+        if refusal:
             log.warning("no way to the rest pose is kept; here an arm would be relaxed at its end: %s", refusal)
         for each in self._parkings:
             if each in plans:
                 each.keep(plans[each], place.held_rad)
             else:
                 each.forget()
+
+    async def _plans(self, place: _Place) -> dict[ArmParking, Plan]:
+        """Plan the ways of the arms that hold; raise RefusedError for one that cannot be planned, or two that meet."""
+        scene = self._planning.scene_state.scene
+        plans = {each: await each.plan_way(place.held_rad) for each in self._parkings if each.holds}
+        for first, second in itertools.combinations((plan.trajectory for plan in plans.values()), 2):
+            moving = {*first.joint_names, *second.joint_names}
+            others_rad = {name: value for name, value in place.held_rad.items() if name not in moving}
+            question = ConcurrencyQuestion(first, second, others_rad)
+            if contact := required(await self._planning.pool.ask(question, scene)).contact:
+                raise RefusedError(contact)
+        return plans
 
 
 @dataclass(frozen=True)

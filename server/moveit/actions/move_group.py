@@ -15,7 +15,7 @@ from server.errors import RefusedError, refused
 from server.execution.failures import with_nearest_goal
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.monitors import state_message
-from server.execution.motions import Motion, MotionStep, PlannedMotion, Positions, plan_sequence
+from server.execution.motions import Motion, MotionStep, PlannedMotion, plan_sequence
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.permissions import GOAL, PLANNING_GOAL, Node
@@ -206,8 +206,9 @@ def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotio
     if any(request["start_state"]["joint_state"]["name"] for request in goal.requests):
         # As in MoveIt.
         warnings.append("start_state is ignored: the motion begins where the arm is")
-    for request in goal.requests if present_rad is not None else ():
-        warnings += context.problems.motion_plan(request, present_rad).warnings
+    if present_rad is not None:
+        for request in goal.requests:
+            warnings += context.problems.motion_plan(request, present_rad).warnings
     return PlannedMotion(
         steps=tuple(map(context.problems.request_step, goal.requests)),
         joints=context.problems.joints(goal.requests),
@@ -253,9 +254,7 @@ async def plan_steps(
         context.display.contacts_of(planned.failure.details)
         failure = await with_nearest_goal(planned.failure, planned.problem, scene, context.pool)
         return Answer.of(failure, planned)
-    return Answer(
-        MoveItErrorCode.SUCCESS, "; ".join((*start.warnings, *warnings, *planned.notes)), performed=planned
-    )
+    return Answer(MoveItErrorCode.SUCCESS, "; ".join((*start.warnings, *warnings, *planned.notes)), performed=planned)
 
 
 def offer_execute_trajectory(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:

@@ -175,24 +175,22 @@ class SceneState(CurrentScene):
         self, change: SceneChange, positions_rad: OptionalPositions, applied: asyncio.Future[None]
     ) -> None:
         """Apply a change read by a thread, once more if the scene has become another meanwhile."""
-        try:
-            while not applied.done():
-                before = self.contents
-                contents, scene = await asyncio.to_thread(
-                    self._changed_and_written, before, change.apply, positions_rad
-                )
+        while not applied.done():
+            before = self.contents
+            try:
+                changed = await asyncio.to_thread(self._changed_and_written, before, change.apply, positions_rad)
+            except Exception as error:  # a bug in one change must not hold up those that wait
+                refusal = error
+                if not isinstance(error, RefusedError):
+                    log.exception("a change of the planning scene failed")
+                    text = f"the change failed inside the server: {type(error).__name__}"
+                    refusal = refused(MoveItErrorCode.FAILURE, text)
+                if not applied.done():
+                    applied.set_exception(refusal)
+            else:
                 if self.contents is before and not applied.done():
-                    self._commit(contents, scene)
+                    self._commit(*changed)
                     applied.set_result(None)
-            return
-        except RefusedError as error:
-            refusal = error
-        except Exception as error:  # a bug in one change must not hold up those that wait
-            log.exception("a change of the planning scene failed")
-            text = f"the change failed inside the server: {type(error).__name__}"
-            refusal = refused(MoveItErrorCode.FAILURE, text)
-        if not applied.done():
-            applied.set_exception(refusal)
 
     def _changed_and_written(
         self, before: SceneContents, change: DraftChange, positions_rad: OptionalPositions

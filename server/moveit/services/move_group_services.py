@@ -47,7 +47,7 @@ log = logging.getLogger("armbridge.moveit")
 ROBOT_LINK, WORLD_OBJECT, ROBOT_ATTACHED = 0, 1, 2
 
 # Computes the response to a request of a client.
-Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[str, Any]] | dict[str, Any]]
+Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[Message] | Message]
 
 # Twice the planners' own deadline: a request may wait for another one first.
 TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
@@ -217,7 +217,7 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
     }
 
 
-async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> Message:
     """Plan a sequence of motions; returns the response of moveit_msgs/GetMotionSequence.
 
     If an item cannot be planned, the response has the motions of the items before it, and the item's error code.

@@ -268,7 +268,7 @@ class KeptWays:
                 each.forget()
 
     async def _plans(self, place: _Place) -> dict[ArmParking, Plan]:
-        """Plan the ways of the arms that hold; raise RefusedError for one that cannot be planned, or two that meet."""
+        """Plan the ways of the arms that hold; raise RefusedError if one has no plan, or two meet."""
         scene = self._planning.scene_state.scene
         plans = {each: await each.plan_way(place.held_rad) for each in self._parkings if each.holds}
         for first, second in itertools.combinations((plan.trajectory for plan in plans.values()), 2):

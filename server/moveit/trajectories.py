@@ -64,7 +64,7 @@ async def to_messages(trajectories: Sequence[Trajectory], frame: str) -> list[Me
 
 
 async def written(trajectories: Sequence[Trajectory], write: Callable[[], Written]) -> Written:
-    """Return what is written of motions; a thread writes long ones."""
+    """Write something of motions; a thread writes long ones."""
     return await asyncio.to_thread(write) if is_long(trajectories) else write()
 
 

@@ -183,6 +183,10 @@ def asked(request: dict[str, Any], **options: Any) -> move_group.PlanningGoal:
     )
 
 
+async def plan_only(rig: ServiceRig, request: dict[str, Any]) -> Answer:
+    return await move_group.plan_only([message("MotionPlanRequest", **request)], rig.client, rig.context)
+
+
 async def test_a_motion_starts_where_its_turn_comes_and_a_plan_alone_where_the_request_says(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [1.0]}}
     changes = {"world": {"collision_objects": [box("box", at=pose(2.0))]}}
@@ -194,23 +198,23 @@ async def test_a_motion_starts_where_its_turn_comes_and_a_plan_alone_where_the_r
     assert [one.name for one in motion.scene(HOME).objects] == ["box"]
     assert rig.scene_state.scene.objects == ()
     start = {"joint_state": {"name": ["elbow_flex"], "position": [0.5]}, "is_diff": True}
-    answer: Any = await move_group.plan_only(asked({**to(0.3), "start_state": start}), rig.client, rig.context)
+    answer: Any = await plan_only(rig, {**to(0.3), "start_state": start})
     assert answer.code is MoveItErrorCode.SUCCESS
     assert answer.performed.start_rad["elbow_flex"] == 0.5
     assert answer.performed.planned[0].positions_rad[-1, 0] == pytest.approx(0.3)
     nowhere = {"joint_state": {"name": ["knee"], "position": [0.0]}}
-    refused = await move_group.plan_only(asked({**to(0.3), "start_state": nowhere}), rig.client, rig.context)
+    refused = await plan_only(rig, {**to(0.3), "start_state": nowhere})
     assert refused.code is MoveItErrorCode.INVALID_ROBOT_STATE
     assert "knee" in refused.message
 
 
 async def test_a_plan_alone_that_fails_says_what_would_work(rig: ServiceRig) -> None:
     far = {"position_constraints": [ball(0.8, 0.0, 0.2)]}
-    free = await move_group.plan_only(asked({"goal_constraints": [far]}), rig.client, rig.context)
+    free = await plan_only(rig, {"goal_constraints": [far]})
     assert free.code is MoveItErrorCode.NO_IK_SOLUTION
     assert "what would work: that point" in move_group.move_group_result(free, ROBOT)["error_code"]["message"]
     line = {"goal_constraints": [far], "pipeline_id": PILZ, "planner_id": "LIN"}
-    straight = await move_group.plan_only(asked(line), rig.client, rig.context)
+    straight = await plan_only(rig, line)
     assert "what would work: the same path to (" in straight.message
     in_a_sequence = move_group.sequence_result(straight, ROBOT)["response"]
     for result in (move_group.move_group_result(straight, ROBOT), in_a_sequence):

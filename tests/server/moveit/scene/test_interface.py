@@ -58,6 +58,7 @@ async def test_every_topic_changes_the_scene_and_logs_a_refusal_with_its_name(to
     graph.publish(Node("client"), topic, messages[0])
     assert "cup" in {**state.contents.objects, **state.contents.attached}
     graph.publish(Node("client"), topic, messages[1])
+    await asyncio.sleep(0)
     assert f"{topic}: refused, nothing is changed" in caplog.text
     assert "'ghost'" in caplog.text
     caplog.clear()
@@ -107,7 +108,7 @@ async def test_the_answer_is_a_complete_message():
     assert client.call(interface.CLEAR_OCTOMAP) == {}
 
 
-def test_a_refusal_tells_its_reason_in_response_and_log_and_is_of_all_that_comes_with_it(caplog):
+async def test_a_refusal_tells_its_reason_in_response_and_log_and_is_of_all_that_comes_with_it(caplog):
     scene = {"is_diff": True, "world": {"collision_objects": [{"id": "ghost", "operation": 1}]}}
     response = answered(Client().graph, interface.APPLY, scene=scene)
     assert response.values == {"success": False}
@@ -143,7 +144,7 @@ async def test_a_scene_whose_call_was_answered_with_a_failure_is_not_applied_aft
     assert client.apply(world={"collision_objects": [box("cup")]})
     contents = client.state.contents
     # Behind another change that takes a thread, also a small one waits for its turn.
-    client.state.submit(SceneChange(lambda _draft: None, AT_ONCE_ELEMENTS + 1), None, lambda _refusal: None)
+    client.state.submit(SceneChange(lambda _draft: None, AT_ONCE_ELEMENTS + 1), None)
     scene = {"is_diff": True, "world": {"collision_objects": objects}, "robot_state": state_of(0.1)}
     client.graph.services.call(client.node, interface.APPLY, {"scene": scene}, answers.append, timeout_s=2.0)
     client.clock.advance(2.1)
@@ -164,7 +165,7 @@ async def test_a_scene_whose_client_leaves_before_it_is_made_is_made_all_the_sam
     assert client.joints() != dict.fromkeys(JOINTS, 0.1)
 
 
-def test_an_assumed_state_is_given_back_to_the_client_that_set_it_and_a_scene_sent_back_assumes_nothing():
+async def test_an_assumed_state_is_given_back_to_the_client_that_set_it_and_a_scene_sent_back_assumes_nothing():
     client = Client()
     assert client.joints() == pytest.approx(BENT)
     assert client.apply(**{**client.get(), "is_diff": True})

@@ -4,7 +4,6 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from planners.problem import MoveItErrorCode
@@ -55,18 +54,6 @@ PLANNING, IDLE = "PLANNING", "IDLE"
 MOVE_GROUP_STATES = {GoalState.PLANNING: PLANNING, GoalState.EXECUTING: "MONITOR"}
 
 
-@dataclass(frozen=True)
-class PlanningGoal:
-    """Contents of a goal: its moveit_msgs/MotionPlanRequests, and a moveit_msgs/PlanningScene to plan in, or None."""
-
-    requests: Sequence[Message]
-    plan_only: bool
-    attempts: int
-    delay_s: float
-    scene_diff: Message | None
-    warnings: tuple[str, ...]
-
-
 def move_group_result(answer: Answer, robot: RobotModel) -> Message:
     performed = answer.performed
     return {
@@ -113,16 +100,15 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
 
         def start(goal: ActionGoal) -> None:
             try:
-                planning_goal = read_planning_goal(requests(goal.request), goal.request["planning_options"])
-                if planning_goal.plan_only:
+                asked, options = requests(goal.request), goal.request["planning_options"]
+                if options["plan_only"]:
                     goal.feedback({"state": PLANNING})
-                    asked, diff, warnings = planning_goal.requests, planning_goal.scene_diff, planning_goal.warnings
-                    work = plan_only(asked, goal.sender, context, diff, warnings)
+                    work = plan_only(asked, goal.sender, context, options)
                     # The goal keeps the task alive, which the event loop does not.
                     cancel = plan_without_moving(work, goal.action, lambda answer: _finish(goal, answer, result))
                     cancel_with_goal(goal, cancel)
                 else:
-                    motion = planned_motion(planning_goal, context)
+                    motion = planned_motion(asked, options, context)
                     for warning in motion.warnings:
                         log.warning("%s: %s", goal.action, warning)
                     _execute(goal, queue, motion, result)
@@ -164,26 +150,28 @@ def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message
     goal.when_ended(lambda _result: writing.cancel())
 
 
-def read_planning_goal(requests: Sequence[Message], message: Message) -> PlanningGoal:
-    """Read a goal with moveit_msgs/MotionPlanRequests and moveit_msgs/PlanningOptions."""
-    delay_s = float(message["replan_delay"])
+def scene_diff(options: Message) -> Message | None:
+    """Return the moveit_msgs/PlanningScene to plan in of moveit_msgs/PlanningOptions; None for the present scene."""
+    diff = options["planning_scene_diff"]
+    return {**diff, "is_diff": True} if changes_scene(diff) else None
+
+
+def ignored_options(options: Message) -> list[str]:
+    return ["look_around is ignored: there is no sensor to look with"] if options["look_around"] else []
+
+
+def replanning(options: Message) -> tuple[int, float]:
+    """Read the attempts, and the delay between them [s], of moveit_msgs/PlanningOptions."""
+    delay_s = float(options["replan_delay"])
     if not (math.isfinite(delay_s) and 0.0 <= delay_s <= MAX_DELAY_S):
         text = f"planning_options.replan_delay must be from 0 to {MAX_DELAY_S:g} s, not {delay_s:g}"
         raise refused(MoveItErrorCode.FAILURE, text, replan_delay=str(delay_s))
     for field in ("look_around_attempts", "replan_attempts"):
-        if message[field] < 0:
-            text = f"planning_options.{field} must be 0 or more, not {message[field]}"
+        if options[field] < 0:
+            text = f"planning_options.{field} must be 0 or more, not {options[field]}"
             raise refused(MoveItErrorCode.FAILURE, text, field=field)
-    attempts = message["replan_attempts"] if message["replan_attempts"] > 0 else DEFAULT_ATTEMPTS
-    diff = message["planning_scene_diff"]
-    return PlanningGoal(
-        requests,
-        plan_only=message["plan_only"],
-        attempts=min(attempts, MAX_ATTEMPTS) if message["replan"] else 1,
-        delay_s=delay_s,
-        scene_diff={**diff, "is_diff": True} if changes_scene(diff) else None,
-        warnings=("look_around is ignored: there is no sensor to look with",) if message["look_around"] else (),
-    )
+    attempts = options["replan_attempts"] if options["replan_attempts"] > 0 else DEFAULT_ATTEMPTS
+    return min(attempts, MAX_ATTEMPTS) if options["replan"] else 1, delay_s
 
 
 def changes_scene(scene: Message) -> bool:
@@ -196,47 +184,48 @@ def changes_scene(scene: Message) -> bool:
     return bool(world or attached or matrix["entry_names"] or matrix["default_entry_names"] or links)
 
 
-def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotion:
+def planned_motion(requests: Sequence[Message], options: Message, context: PlanningContext) -> PlannedMotion:
     """Make the motion to plan and execute.
 
     Its problems are built once more when the goal's turn comes, for the start that the arm then has. They are built
     here for the present one, so that a goal that cannot be planned does not replace the motion of another.
     """
-    diff, warnings, present_rad = goal.scene_diff, [*goal.warnings], context.current.positions_rad()
-    if any(request["start_state"]["joint_state"]["name"] for request in goal.requests):
+    diff, warnings, present_rad = scene_diff(options), ignored_options(options), context.current.positions_rad()
+    attempts, delay_s = replanning(options)
+    if any(request["start_state"]["joint_state"]["name"] for request in requests):
         # As in MoveIt.
         warnings.append("start_state is ignored: the motion begins where the arm is")
     if present_rad is not None:
-        for request in goal.requests:
+        for request in requests:
             warnings += context.problems.motion_plan(request, present_rad).warnings
     return PlannedMotion(
-        steps=tuple(map(context.problems.request_step, goal.requests)),
-        joints=context.problems.joints(goal.requests),
+        steps=tuple(map(context.problems.request_step, requests)),
+        joints=context.problems.joints(requests),
         scene=None if diff is None else lambda now_rad: context.scene_state.with_diff(diff, now_rad),
-        attempts=goal.attempts,
-        delay_s=goal.delay_s,
+        attempts=attempts,
+        delay_s=delay_s,
         warnings=tuple(warnings),
     )
 
 
 async def plan_only(
-    requests: Sequence[Message],
-    sender: Node,
-    context: PlanningContext,
-    scene_diff: Message | None = None,
-    warnings: Sequence[str] = (),
+    requests: Sequence[Message], sender: Node, context: PlanningContext, options: Message | None = None
 ) -> Answer:
     """Plan from the start state of the first request, completed by positions that the sender assumes."""
-    state, noted = requests[0]["start_state"], [*warnings]
+    state = requests[0]["start_state"]
+    warnings: list[str] = []
     try:
         start = context.start(state, sender)
         scene = start.scene
-        if scene_diff is not None:
-            scene = context.scene_state.with_diff({**scene_diff, **(attached_diff(state) or {})}, start.start_rad)
+        if options is not None:
+            replanning(options)
+            warnings += ignored_options(options)
+            if (diff := scene_diff(options)) is not None:
+                scene = context.scene_state.with_diff({**diff, **(attached_diff(state) or {})}, start.start_rad)
     except RefusedError as error:
         return Answer.of(error.failure)
-    steps = [context.problems.request_step(request, noted) for request in requests]
-    return await plan_steps(steps, start, scene, context, noted)
+    steps = [context.problems.request_step(request, warnings) for request in requests]
+    return await plan_steps(steps, start, scene, context, warnings)
 
 
 async def plan_steps(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from planners.problem import MoveItErrorCode
@@ -40,16 +41,17 @@ class LinkTransforms:
         self.robot = robot
         self._forward = forward
         self._positions_rad = positions_rad
-        self._transforms: Mapping[str, Vector] | None = None
+
+    @cached_property
+    def _transforms(self) -> Mapping[str, Vector]:
+        return {} if self._positions_rad is None else self._forward.transforms(self._positions_rad)
 
     def pose(self, link: str) -> Pose:
         """Return the pose of a link in the root link."""
         if link == self.robot.root_link:
             return IDENTITY
-        if self._positions_rad is None:
+        if link not in self._transforms:
             raise _unknown(link, f"the pose of the link {link!r} is not known: the arm's position is not known")
-        if self._transforms is None:
-            self._transforms = self._forward.transforms(self._positions_rad)
         return pose_of(self._transforms[link])
 
 

@@ -99,24 +99,21 @@ class SceneContents:
         )
 
 
-def _parts(contents: SceneContents) -> dict[str, Any]:
-    """Return contents by field, the dicts as copies."""
-    parts = {each.name: getattr(contents, each.name) for each in fields(SceneContents)}
-    return {name: dict(part) if isinstance(part, dict) else part for name, part in parts.items()}
-
-
 class SceneDraft(SceneContents):
     """Scene contents under change."""
 
     def __init__(self, contents: SceneContents, links: LinkTransforms) -> None:
-        super().__init__(**_parts(contents))
+        parts = vars(contents).items()
+        copied: dict[str, Any] = {name: part.copy() if isinstance(part, dict) else part for name, part in parts}
+        super().__init__(**copied)
         # The contents to start from, which stay as they are; an object that is only repeated stays the same one.
         self.before = contents
         self.links = links  # transforms of the links, which do not move meanwhile
         self.root = links.robot.root_link  # the planning frame
 
     def contents(self) -> SceneContents:
-        return SceneContents(**_parts(self))
+        """Return the changed contents; the draft is changed no more."""
+        return SceneContents(**{each.name: getattr(self, each.name) for each in fields(SceneContents)})
 
     def is_root(self, frame_id: str) -> bool:
         """Tell by its name alone if a frame is the planning frame."""

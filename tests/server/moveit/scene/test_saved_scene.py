@@ -223,7 +223,7 @@ async def test_a_server_begins_without_a_scene_that_its_disk_does_not_give(
 
     monkeypatch.setattr(asyncio, "to_thread", in_thread)
     await SavedScene(path, SceneState(ROBOT), MessageTypes(REGISTRY)).start()
-    assert f"not kept: {path} cannot be read: the disk does not answer within 20 s" in caplog.text
+    assert f"not kept in {path}: the disk does not answer within 20 s" in caplog.text
 
 
 async def test_a_server_goes_on_and_ends_though_its_disk_does_not_take_the_scene(

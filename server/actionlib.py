@@ -6,7 +6,7 @@ action's goals are kept as actionlib keeps them.
 """
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, TypeAlias
@@ -76,14 +76,13 @@ def has_actionlib_types(registry: Registry, type_name: str) -> bool:
     return registry.knows(_message_type(type_name, "ActionGoal"))
 
 
-def bridge_actions(graph: Graph, names: Iterable[str]) -> None:
-    """Open and keep the topics of actions that are offered; an action of a type that ROS 1 lacks has none."""
-    types = {name: graph.actions.names.type_of(name) for name in names}
+def bridge_actions(graph: Graph) -> None:
+    """Open and keep the topics of all actions that are offered now; an action of a type that ROS 1 lacks has none."""
     registry = graph.message_types.registry
     bridged = [
         BridgedAction(graph, name, type_name)
-        for name, type_name in types.items()
-        if type_name is not None and has_actionlib_types(registry, type_name)
+        for name, type_name in graph.actions.names.types().items()
+        if has_actionlib_types(registry, type_name)
     ]
 
     def beat() -> None:

@@ -1,6 +1,6 @@
 """Present state for execution: the arm's positions, its readiness, and the planning scene."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from planners.problem import MoveItErrorCode
@@ -45,18 +45,18 @@ class CurrentState:
         return self._arm.state.stamp_s
 
 
-def state_message(positions_rad: dict[str, float], frame: str, stamp_s: float) -> dict[str, Any]:
+def joint_state_message(positions_rad: Mapping[str, float], stamp_s: float, frame: str = "") -> dict[str, Any]:
+    """Return the sensor_msgs/JointState of positions alone."""
+    header = {"stamp": Stamp.from_seconds(stamp_s).as_message(), "frame_id": frame}
+    names, positions = list(positions_rad), list(positions_rad.values())
+    return {"header": header, "name": names, "position": positions, "velocity": [], "effort": []}
+
+
+def state_message(positions_rad: Mapping[str, float], frame: str, stamp_s: float) -> dict[str, Any]:
     """Return the moveit_msgs/RobotState of joints that stand still."""
-    stamp = Stamp.from_seconds(stamp_s).as_message()
-    header = {"stamp": stamp, "frame_id": frame}
+    header = {"stamp": Stamp.from_seconds(stamp_s).as_message(), "frame_id": frame}
     return {
-        "joint_state": {
-            "header": header,
-            "name": list(positions_rad),
-            "position": list(positions_rad.values()),
-            "velocity": [],
-            "effort": [],
-        },
+        "joint_state": joint_state_message(positions_rad, stamp_s, frame),
         "multi_dof_joint_state": {"header": header, "joint_names": [], "transforms": [], "twist": [], "wrench": []},
         "attached_collision_objects": [],
         "is_diff": False,

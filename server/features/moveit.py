@@ -14,16 +14,9 @@ from server.config import Settings
 from server.features.context import ArmContext, ServerContext
 from server.lifecycle import Feature
 from server.moveit.actions.goal_calls import GoalCalls
-from server.moveit.actions.gripper import ACTIONS as GRIPPER_ACTIONS
 from server.moveit.actions.gripper import offer_gripper
 from server.moveit.actions.joint_trajectory_controller import JointTrajectoryController
-from server.moveit.actions.move_group import (
-    EXECUTE_ACTION,
-    MOVE_ACTIONS,
-    SEQUENCE_ACTION,
-    offer_execute_trajectory,
-    offer_planning_actions,
-)
+from server.moveit.actions.move_group import offer_execute_trajectory, offer_planning_actions
 from server.moveit.goals.goal_checks import offer_goal_checks
 from server.moveit.goals.goal_history import GoalHistory
 from server.moveit.goals.goal_topics import GoalStatusTopics, GoalTopics
@@ -31,7 +24,6 @@ from server.moveit.named_states import NamedStatesServices, default_path
 from server.moveit.requests.constraints import planning_group
 from server.moveit.scene.interface import SceneInterface
 from server.moveit.scene.saved_scene import NamedScenes, SavedScene, offer_named_scenes
-from server.moveit.services.description import ACTION as REPUBLISHER_ACTION
 from server.moveit.services.description import TransformRepublisher, TransformsTopics, offer_description, publish_groups
 from server.moveit.services.move_group_services import offer_services
 from server.moveit.servo.servo_node import ServoNode
@@ -112,13 +104,12 @@ class ArmGoals(Feature):
 
     def __init__(self, context: ServerContext) -> None:
         self._controllers: dict[str, list[JointTrajectoryController]] = {}
-        self._actions = [*MOVE_ACTIONS, SEQUENCE_ACTION, EXECUTE_ACTION, REPUBLISHER_ACTION]
         for arm in context.arms:
             self._offer(arm)
         self._graph = context.graph
 
     async def start(self) -> None:
-        bridge_actions(self._graph, self._actions)
+        bridge_actions(self._graph)
 
     def on_state(self, arm: str, state: ArmState) -> None:
         for controller in self._controllers[arm]:
@@ -135,10 +126,8 @@ class ArmGoals(Feature):
         for group in arm.robot.groups.values():
             name, industrial = group.name.removeprefix(arm.served.prefix), group.name == default
             controllers.append(JointTrajectoryController(arm, group, name, industrial=industrial))
-        self._actions += [graph.resolve(name) for each in controllers for name in each.actions]
         if arm.gripper is not None:
             offer_gripper(graph, arm.gripper)
-            self._actions += map(graph.resolve, GRIPPER_ACTIONS)
 
 
 class Servo(Feature):

@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from planners.goals import JointGoal
-from planners.problem import ConcurrencyQuestion, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
+from planners.problem import ConcurrencyQuestion, MoveItErrorCode, Plan, PlanningProblem
 from robot.arm import CLOSE_LIMIT_S, Arm
 from robot.arm_group import states_of
 from robot.description.model import RobotModel
@@ -24,7 +24,7 @@ from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arm.interface import sentence_of
 from server.arrival import arrival_epoch, is_stopped
 from server.config import ArmSettings
-from server.errors import ConfigurationError, ServiceError
+from server.errors import ConfigurationError, RefusedError, ServiceError, refused, required
 from server.execution.goal import Goal, GoalPolicy, GoalRequest, GoalState, Progress
 from server.execution.motions import PlannedMotion, Positions
 from server.execution.queue import GoalListener
@@ -156,28 +156,26 @@ class ArmParking:
         positions_rad = self.context.planning.current.positions_rad()
         if not self.holds or positions_rad is None:
             return
-        plan = await self.plan_way(positions_rad)
-        if isinstance(plan, Plan):
-            self.keep(plan, positions_rad)
-        else:
-            log.warning("no way to the rest pose from here, where the arm is relaxed: %s", plan.message)
+        try:
+            self.keep(await self.plan_way(positions_rad), positions_rad)
+        except RefusedError as error:
+            log.warning("no way to the rest pose from here, where the arm is relaxed: %s", error)
 
     @property
     def holds(self) -> bool:
         return self.arm.state.mode is Mode.HOLDING
 
-    async def plan_way(self, start_rad: Positions) -> Plan | PlanningFailure:
-        """Plan the way to the rest pose from positions of all joints [rad]."""
+    async def plan_way(self, start_rad: Positions) -> Plan:
+        """Plan the way to the rest pose from positions of all joints [rad], or raise RefusedError."""
         problem = self._way()(start_rad)
         bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
         scene_state = self.context.planning.scene_state
         scene = scene_state.scene
-        plan = await self.context.planning.pool.ask(bounded, scene)
-        if scene.version == scene_state.scene.version:
-            return plan
-        return PlanningFailure(
-            MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE, "the scene has changed meanwhile"
-        )
+        plan = required(await self.context.planning.pool.ask(bounded, scene))
+        if scene.version != scene_state.scene.version:
+            code = MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
+            raise refused(code, "the scene has changed meanwhile")
+        return plan
 
     def keep(self, plan: Plan, start_rad: Positions) -> None:
         if plan.trajectory.duration_s > PARKING_TIMEOUT_S:
@@ -252,34 +250,34 @@ class KeptWays:
         return _Place(held_rad, self._planning.scene_state.scene.version, tuple(arms), self._arm.state.pace.speed_limit)
 
     async def _plan(self, place: _Place) -> None:
-        scene = self._planning.scene_state.scene
-        plans: dict[ArmParking, Plan] = {}
-        refusal: PlanningFailure | None = None
-        for each in self._parkings:
-            if each.holds and refusal is None:
-                plan = await each.plan_way(place.held_rad)
-                if isinstance(plan, Plan):
-                    plans[each] = plan
-                else:
-                    name = each.context.name
-                    refusal = replace(plan, message=f"{name}: {plan.message}" if name else plan.message)
-        for first, second in itertools.combinations((plan.trajectory for plan in plans.values()), 2):
-            moving = {*first.joint_names, *second.joint_names}
-            others_rad = {name: value for name, value in place.held_rad.items() if name not in moving}
-            if refusal is None:
-                met = await self._planning.pool.ask(ConcurrencyQuestion(first, second, others_rad), scene)
-                refusal = met if isinstance(met, PlanningFailure) else met.contact
+        refusal, plans = "", dict[ArmParking, Plan]()
+        try:
+            plans = await self._plans(place)
+        except RefusedError as error:
+            refusal = str(error)
         if (now := self._here()) is None or not now.same_as(place):
             return
         # Also after a failure: the ways are not planned again before something has changed.
         self._place = place
-        if refusal is not None:
-            log.warning("no way to the rest pose is kept; here an arm would be relaxed at its end: %s", refusal.message)
+        if refusal:
+            log.warning("no way to the rest pose is kept; here an arm would be relaxed at its end: %s", refusal)
         for each in self._parkings:
-            if refusal is None and each in plans:
+            if each in plans:
                 each.keep(plans[each], place.held_rad)
             else:
                 each.forget()
+
+    async def _plans(self, place: _Place) -> dict[ArmParking, Plan]:
+        """Plan the ways of the arms that hold; raise RefusedError if one has no plan, or two meet."""
+        scene = self._planning.scene_state.scene
+        plans = {each: await each.plan_way(place.held_rad) for each in self._parkings if each.holds}
+        for first, second in itertools.combinations((plan.trajectory for plan in plans.values()), 2):
+            moving = {*first.joint_names, *second.joint_names}
+            others_rad = {name: value for name, value in place.held_rad.items() if name not in moving}
+            question = ConcurrencyQuestion(first, second, others_rad)
+            if contact := required(await self._planning.pool.ask(question, scene)).contact:
+                raise RefusedError(contact)
+        return plans
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ class DisplayTopics:
 
     def performed(self, performed: Performed) -> None:
         """Show motions that are about to be executed, one after the other."""
-        start = state_message(dict(performed.start_rad), self._robot.root_link, 0.0)
+        start = state_message(performed.start_rad, self._robot.root_link, 0.0)
         if is_long(performed.planned):
             self._stop_writing()
             self._writing = asyncio.create_task(self._show_long(performed.planned, start), name="shown motion")

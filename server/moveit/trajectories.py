@@ -2,9 +2,9 @@
 
 import asyncio
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from ruckig import RuckigError
@@ -15,6 +15,8 @@ from robot.trajectory import VELOCITY_TOLERANCE, Trajectory, Vector, bridge, ref
 from server.errors import RefusedError, invalid, invalid_plan
 from server.execution.motions import ExternalTrajectory, Positions, SplicePoint, start_of
 from server.moveit.messages import Message
+
+Written = TypeVar("Written")
 
 NANOSECONDS_PER_S = 1_000_000_000
 
@@ -57,10 +59,11 @@ def is_long(trajectories: Sequence[Trajectory]) -> bool:
 
 async def to_messages(trajectories: Sequence[Trajectory], frame: str) -> list[Message]:
     """Write moveit_msgs/RobotTrajectory messages; a thread writes long motions."""
+    return await written(trajectories, lambda: [to_message(each, frame) for each in trajectories])
 
-    def write() -> list[Message]:
-        return [to_message(each, frame) for each in trajectories]
 
+async def written(trajectories: Sequence[Trajectory], write: Callable[[], Written]) -> Written:
+    """Write something of motions; a thread writes long ones."""
     return await asyncio.to_thread(write) if is_long(trajectories) else write()
 
 
@@ -197,24 +200,12 @@ def smallest_group(robot: RobotModel, joint_names: tuple[str, ...]) -> Group | N
 
 def for_group(trajectory: Trajectory, group: Group, held_rad: Positions) -> Trajectory:
     """Extend a trajectory to every joint of a group; those that it leaves out stand still."""
-    samples = len(trajectory.time_s)
-    columns = {name: column for column, name in enumerate(trajectory.joint_names)}
-
-    def extended(array: Vector, still: Positions | None) -> Vector:
-        return np.column_stack(
-            [
-                array[:, columns[name]] if name in columns else np.full(samples, still[name] if still else 0.0)
-                for name in group.joints
-            ]
-        )
-
-    return Trajectory(
-        group.joints,
-        trajectory.time_s,
-        extended(trajectory.positions_rad, held_rad),
-        extended(trajectory.velocities_rad_s, None),
-        extended(trajectory.accelerations_rad_s2, None),
-    )
+    positions = np.tile([held_rad[name] for name in group.joints], (len(trajectory.time_s), 1))
+    arrays = positions, np.zeros_like(positions), np.zeros_like(positions)
+    own = trajectory.positions_rad, trajectory.velocities_rad_s, trajectory.accelerations_rad_s2
+    for array, given in zip(arrays, own, strict=True):
+        array[:, [group.joints.index(name) for name in trajectory.joint_names]] = given
+    return Trajectory(group.joints, trajectory.time_s, *arrays)
 
 
 def read_joint_trajectory(message: Message, robot: RobotModel, start_rad: Mapping[str, float]) -> Trajectory:

@@ -4,7 +4,6 @@ A replay is a goal as others: the arm goes to the motion's start by a planned mo
 taught, as fast as it was taught or slower where limits demand it, checked in the scene at that time.
 """
 
-import asyncio
 import functools
 import logging
 from dataclasses import replace
@@ -21,7 +20,7 @@ from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.permissions import GOAL
 from server.graph.topics import Graph
-from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal
+from server.moveit.actions.goal_bridge import goal_status, reject_goal, submit_goal, work_on
 from server.moveit.messages import error_code
 from server.moveit.requests.planning_context import PlanningContext
 from server.teaching.services import CHECK_TIME_S
@@ -69,12 +68,7 @@ def offer_replay(graph: Graph, planning: PlanningContext, motions: MotionFiles, 
             if not goal.ended:
                 submit_goal(goal, queue, motion, send_feedback, end)
 
-    def start(goal: ActionGoal) -> None:
-        task = asyncio.create_task(submit(goal), name="a replay")
-        # The goal keeps the task alive, which the event loop does not.
-        goal.when_ended(lambda _end: task)
-
-    graph.node("replay").offer_action(NAME, TYPE, start, rule=GOAL)
+    graph.node("replay").offer_action(NAME, TYPE, lambda goal: work_on(goal, submit(goal)), rule=GOAL)
 
 
 def planned(taught: TaughtMotion, speed: float, repeat: int, planning: PlanningContext) -> PlannedMotion:

@@ -14,7 +14,7 @@ from robot.messages import ArmState
 from robot.stop_epochs import STOP_EPOCHS
 from server.arrival import is_stopped
 from server.errors import RefusedError, ServiceError
-from server.execution.monitors import check_ready
+from server.execution.monitors import check_ready, joint_state_message
 from server.graph.permissions import STOPPING, SWITCHING, Node
 from server.graph.topics import Graph, LocalNode, Subscriber
 from server.lifecycle import Feature
@@ -313,16 +313,7 @@ class Teleoperation(Feature):
         """Publish the targets of all followers in one message, as ``/joint_states`` has all joints."""
         following.targets_rad = targets_rad
         present = {name: target for each in self._followings.values() for name, target in each.targets_rad.items()}
-        self._node.publish(
-            TARGETS_TOPIC,
-            {
-                "header": {"stamp": self._node.message_types.now().as_message(), "frame_id": ""},
-                "name": list(present),
-                "position": list(present.values()),
-                "velocity": [],
-                "effort": [],
-            },
-        )
+        self._node.publish(TARGETS_TOPIC, joint_state_message(present, self._node.message_types.wall_clock()))
 
 
 def _verb(names: Collection[str], verb: str) -> str:

@@ -25,7 +25,7 @@ class Stage:
         server = Node("server")
         for name, type_name in ((MOVE, MOVE_TYPE), (FOLLOW, FOLLOW_TYPE)):
             self.graph.actions.offer(server, name, type_name, self.goals.append)
-        bridge_actions(self.graph, (MOVE, FOLLOW, "/nobody/offers/this"))
+        bridge_actions(self.graph)
         self.client = Node("client", remote=True)
         for name in (MOVE, FOLLOW):
             for part in ("status", "feedback", "result"):

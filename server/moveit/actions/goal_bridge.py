@@ -4,9 +4,11 @@ import asyncio
 import functools
 import logging
 from collections.abc import Callable, Coroutine
+from dataclasses import replace
 from typing import Any
 
 from planners.problem import MoveItErrorCode, PlanningFailure
+from server.errors import ServerError
 from server.execution.goal import Answer, Goal, GoalPolicy, GoalRequest, Progress
 from server.execution.motions import Motion
 from server.execution.queue import GoalQueue
@@ -14,6 +16,24 @@ from server.graph.actions import ActionGoal, GoalStatus
 from server.moveit.messages import Message
 
 log = logging.getLogger("armbridge.actions")
+
+
+def work_on(goal: ActionGoal, work: Coroutine[Any, Any, None]) -> None:
+    """Work on a goal in a task; where the work fails, the goal ends with the reason."""
+
+    async def run() -> None:
+        try:
+            await work
+        except ServerError as error:
+            log.warning("%s: %s", goal.action, error)
+            goal.fail(str(error))
+        except Exception as error:  # a bug must cost this goal only, and never its result
+            log.exception("a goal of %s failed", goal.action)
+            goal.fail(f"internal error: {type(error).__name__}: {error}")
+
+    task = asyncio.create_task(run(), name=goal.action)
+    # The goal keeps the task alive, which the event loop does not.
+    goal.when_ended(lambda _end: task)
 
 
 def submit_goal(
@@ -50,7 +70,10 @@ def plan_without_moving(
             answer = Answer(MoveItErrorCode.FAILURE, f"internal error: {type(error).__name__}: {error}")
         else:
             answer = done.result()
-            if answer.code is not MoveItErrorCode.SUCCESS:
+            if answer.code is MoveItErrorCode.SUCCESS:
+                sentences = filter(None, (answer.performed.summary, answer.message))
+                answer = replace(answer, message="; ".join(sentences))
+            else:
                 log.warning("a plan was asked for: %s: %s", answer.code.name, answer.message)
         end(answer)
 

@@ -21,14 +21,14 @@ from robot.description.model import Joint
 from robot.messages import MotionEnded, Outcome
 from robot.trajectory import Trajectory, Vector, rest_to_rest
 from server.arrival import is_stopped
-from server.errors import RefusedError, invalid
+from server.errors import RefusedError, ServerError, invalid
 from server.execution.goal import BRAKING_TIMEOUT_S, CancelScope, ExecutionDeadline, MotionWatch
 from server.execution.monitors import ARM_START_TIMEOUT_S, check_ready
 from server.execution.motions import MotionsInProgress
 from server.graph.actions import ActionGoal, GoalStatus
 from server.graph.permissions import GOAL
 from server.graph.topics import LocalGraph
-from server.moveit.actions.goal_bridge import cancel_with_goal
+from server.moveit.actions.goal_bridge import cancel_with_goal, work_on
 from server.moveit.messages import Message
 from server.moveit.requests.planning_context import GoalContext
 
@@ -330,27 +330,16 @@ def offer_gripper(graph: LocalGraph, gripper: Gripper) -> None:
             return
         claim = gripper.claim()
         cancel_with_goal(goal, claim.cancel)
-        task = asyncio.create_task(execute(goal, messages, claim, command), name="gripper")
-        # The goal keeps the task alive, which the event loop does not.
-        goal.when_ended(lambda _end: task)
+        work_on(goal, execute(goal, messages, claim, command))
 
     async def execute(goal: ActionGoal, messages: ActionMessages, claim: CancelScope, command: GripperCommand) -> None:
-        try:
-            ended = await gripper.move(claim, command, lambda reading: goal.feedback(messages.feedback(reading)))
-            status, reading = STATUS_OF_OUTCOME.get(ended.outcome), gripper.reading()
-            if status is None or reading is None:
-                log.warning("%s: %s", goal.action, ended.message)
-                goal.fail(ended.message)
-                return
-            log.info("%s: %s", goal.action, ended.message)
-            stalled, reached = ended.outcome is Outcome.GRIPPED, ended.outcome is Outcome.REACHED
-            goal.finish(status, messages.result(reading, stalled=stalled, reached=reached))
-        except RefusedError as error:
-            log.warning("%s: %s", goal.action, error)
-            goal.fail(str(error))
-        except Exception as error:  # a bug must cost this goal only, and never its result
-            log.exception("a goal of %s failed", goal.action)
-            goal.fail(f"internal error: {type(error).__name__}: {error}")
+        ended = await gripper.move(claim, command, lambda reading: goal.feedback(messages.feedback(reading)))
+        status, reading = STATUS_OF_OUTCOME.get(ended.outcome), gripper.reading()
+        if status is None or reading is None:
+            raise ServerError(ended.message)
+        log.info("%s: %s", goal.action, ended.message)
+        stalled, reached = ended.outcome is Outcome.GRIPPED, ended.outcome is Outcome.REACHED
+        goal.finish(status, messages.result(reading, stalled=stalled, reached=reached))
 
     node, simple = graph.node("gripper"), GripperCommandMessages(gripper.joints)
     kinds: tuple[ActionMessages, ...] = simple, simple, ParallelGripperCommandMessages(gripper.joints)

@@ -101,7 +101,6 @@ class JointTrajectoryController:
         self._topic = f"/{name}_controller/joint_trajectory"
         self._stream = MessageStream(self._topic)
         action = f"/{name}_controller/follow_joint_trajectory"
-        self.actions = (action, INDUSTRIAL_ACTION) if industrial else (action,)
         node = self._node = context.graph.node(f"{group.name} controller")
         # ROS 2's name, and ROS 1's.
         self._state_topics = (f"/{name}_controller/controller_state", f"/{name}_controller/state")
@@ -109,7 +108,7 @@ class JointTrajectoryController:
             node.advertise(topic, STATE_TYPE)
         # All fields, as a state has few of them, and is published with every state of the arm.
         self._empty = node.message_types.complete(STATE_TYPE, {}, node.message_types.now())
-        for each in self.actions:
+        for each in (action, INDUSTRIAL_ACTION) if industrial else (action,):
             node.offer_action(each, ACTION_TYPE, self._start, TRAJECTORY_LIMITS, rule=GOAL)
         type_name = "trajectory_msgs/JointTrajectory"
         node.subscribe(self._topic, type_name, self._play, limits=TRAJECTORY_LIMITS, rule=GOAL)

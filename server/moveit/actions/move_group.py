@@ -4,7 +4,6 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from planners.problem import MoveItErrorCode
@@ -15,7 +14,7 @@ from server.errors import RefusedError, refused
 from server.execution.failures import with_nearest_goal
 from server.execution.goal import Answer, GoalState, Progress
 from server.execution.monitors import state_message
-from server.execution.motions import Motion, MotionStep, PlannedMotion, Positions, plan_sequence
+from server.execution.motions import Motion, MotionStep, PlannedMotion, plan_sequence
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal
 from server.graph.permissions import GOAL, PLANNING_GOAL, Node
@@ -55,23 +54,11 @@ PLANNING, IDLE = "PLANNING", "IDLE"
 MOVE_GROUP_STATES = {GoalState.PLANNING: PLANNING, GoalState.EXECUTING: "MONITOR"}
 
 
-@dataclass(frozen=True)
-class PlanningGoal:
-    """Contents of a goal: its moveit_msgs/MotionPlanRequests, and a moveit_msgs/PlanningScene to plan in, or None."""
-
-    requests: Sequence[Message]
-    plan_only: bool
-    attempts: int
-    delay_s: float
-    scene_diff: Message | None
-    warnings: tuple[str, ...]
-
-
 def move_group_result(answer: Answer, robot: RobotModel) -> Message:
     performed = answer.performed
     return {
         "error_code": _explained_code(answer, robot),
-        "trajectory_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
+        "trajectory_start": state_message(performed.start_rad, robot.root_link, 0.0),
         "planned_trajectory": _trajectory_message(next(iter(performed.planned), None), robot),
         # The arm's states are on /joint_states.
         "executed_trajectory": _trajectory_message(None, robot),
@@ -83,7 +70,7 @@ def sequence_result(answer: Answer, robot: RobotModel) -> Message:
     performed = answer.performed
     response = {
         "error_code": _explained_code(answer, robot),
-        "sequence_start": state_message(dict(performed.start_rad), robot.root_link, 0.0),
+        "sequence_start": state_message(performed.start_rad, robot.root_link, 0.0),
         "planned_trajectories": [_trajectory_message(motion, robot) for motion in performed.planned],
         "planning_time": performed.planning_time_s,
     }
@@ -113,15 +100,15 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
 
         def start(goal: ActionGoal) -> None:
             try:
-                planning_goal = read_planning_goal(requests(goal.request), goal.request["planning_options"])
-                if planning_goal.plan_only:
+                asked, options = requests(goal.request), goal.request["planning_options"]
+                if options["plan_only"]:
                     goal.feedback({"state": PLANNING})
-                    work = plan_only(planning_goal, goal.sender, context)
+                    work = plan_only(asked, goal.sender, context, options)
                     # The goal keeps the task alive, which the event loop does not.
                     cancel = plan_without_moving(work, goal.action, lambda answer: _finish(goal, answer, result))
                     cancel_with_goal(goal, cancel)
                 else:
-                    motion = planned_motion(planning_goal, context)
+                    motion = planned_motion(asked, options, context)
                     for warning in motion.warnings:
                         log.warning("%s: %s", goal.action, warning)
                     _execute(goal, queue, motion, result)
@@ -163,26 +150,28 @@ def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message
     goal.when_ended(lambda _result: writing.cancel())
 
 
-def read_planning_goal(requests: Sequence[Message], message: Message) -> PlanningGoal:
-    """Read a goal with moveit_msgs/MotionPlanRequests and moveit_msgs/PlanningOptions."""
-    delay_s = float(message["replan_delay"])
+def scene_diff(options: Message) -> Message | None:
+    """Return the moveit_msgs/PlanningScene to plan in of moveit_msgs/PlanningOptions; None for the present scene."""
+    diff = options["planning_scene_diff"]
+    return {**diff, "is_diff": True} if changes_scene(diff) else None
+
+
+def ignored_options(options: Message) -> list[str]:
+    return ["look_around is ignored: there is no sensor to look with"] if options["look_around"] else []
+
+
+def replanning(options: Message) -> tuple[int, float]:
+    """Read the attempts, and the delay between them [s], of moveit_msgs/PlanningOptions."""
+    delay_s = float(options["replan_delay"])
     if not (math.isfinite(delay_s) and 0.0 <= delay_s <= MAX_DELAY_S):
         text = f"planning_options.replan_delay must be from 0 to {MAX_DELAY_S:g} s, not {delay_s:g}"
         raise refused(MoveItErrorCode.FAILURE, text, replan_delay=str(delay_s))
     for field in ("look_around_attempts", "replan_attempts"):
-        if message[field] < 0:
-            text = f"planning_options.{field} must be 0 or more, not {message[field]}"
+        if options[field] < 0:
+            text = f"planning_options.{field} must be 0 or more, not {options[field]}"
             raise refused(MoveItErrorCode.FAILURE, text, field=field)
-    attempts = message["replan_attempts"] if message["replan_attempts"] > 0 else DEFAULT_ATTEMPTS
-    diff = message["planning_scene_diff"]
-    return PlanningGoal(
-        requests,
-        plan_only=message["plan_only"],
-        attempts=min(attempts, MAX_ATTEMPTS) if message["replan"] else 1,
-        delay_s=delay_s,
-        scene_diff={**diff, "is_diff": True} if changes_scene(diff) else None,
-        warnings=("look_around is ignored: there is no sensor to look with",) if message["look_around"] else (),
-    )
+    attempts = options["replan_attempts"] if options["replan_attempts"] > 0 else DEFAULT_ATTEMPTS
+    return min(attempts, MAX_ATTEMPTS) if options["replan"] else 1, delay_s
 
 
 def changes_scene(scene: Message) -> bool:
@@ -190,52 +179,53 @@ def changes_scene(scene: Message) -> bool:
 
     A field that the client has left out has ``is_diff`` false, and must not empty the world.
     """
-    return bool(
-        scene["world"]["collision_objects"]
-        or scene["robot_state"]["attached_collision_objects"]
-        or scene["allowed_collision_matrix"]["entry_names"]
-        or scene["allowed_collision_matrix"]["default_entry_names"]
-        or scene["link_padding"]
-        or scene["link_scale"]
-        or scene["fixed_frame_transforms"]
-    )
+    world, attached = scene["world"]["collision_objects"], scene["robot_state"]["attached_collision_objects"]
+    matrix, links = scene["allowed_collision_matrix"], scene["link_padding"] or scene["link_scale"]
+    return bool(world or attached or matrix["entry_names"] or matrix["default_entry_names"] or links)
 
 
-def planned_motion(goal: PlanningGoal, context: PlanningContext) -> PlannedMotion:
+def planned_motion(requests: Sequence[Message], options: Message, context: PlanningContext) -> PlannedMotion:
     """Make the motion to plan and execute.
 
     Its problems are built once more when the goal's turn comes, for the start that the arm then has. They are built
     here for the present one, so that a goal that cannot be planned does not replace the motion of another.
     """
-    diff, warnings, present_rad = goal.scene_diff, goal.warnings, context.current.positions_rad()
-    if any(request["start_state"]["joint_state"]["name"] for request in goal.requests):
+    diff, warnings, present_rad = scene_diff(options), ignored_options(options), context.current.positions_rad()
+    attempts, delay_s = replanning(options)
+    if any(request["start_state"]["joint_state"]["name"] for request in requests):
         # As in MoveIt.
-        warnings += ("start_state is ignored: the motion begins where the arm is",)
+        warnings.append("start_state is ignored: the motion begins where the arm is")
     if present_rad is not None:
-        warnings += _check_requests(goal.requests, present_rad, context)
+        for request in requests:
+            warnings += context.problems.motion_plan(request, present_rad).warnings
     return PlannedMotion(
-        steps=tuple(map(context.problems.request_step, goal.requests)),
-        joints=context.problems.joints(goal.requests),
+        steps=tuple(map(context.problems.request_step, requests)),
+        joints=context.problems.joints(requests),
         scene=None if diff is None else lambda now_rad: context.scene_state.with_diff(diff, now_rad),
-        attempts=goal.attempts,
-        delay_s=goal.delay_s,
-        warnings=warnings,
+        attempts=attempts,
+        delay_s=delay_s,
+        warnings=tuple(warnings),
     )
 
 
-async def plan_only(goal: PlanningGoal, sender: Node, context: PlanningContext) -> Answer:
+async def plan_only(
+    requests: Sequence[Message], sender: Node, context: PlanningContext, options: Message | None = None
+) -> Answer:
     """Plan from the start state of the first request, completed by positions that the sender assumes."""
-    state, diff = goal.requests[0]["start_state"], goal.scene_diff
+    state = requests[0]["start_state"]
+    warnings: list[str] = []
     try:
         start = context.start(state, sender)
         scene = start.scene
-        if diff is not None:
-            scene = context.scene_state.with_diff({**diff, **(attached_diff(state) or {})}, start.start_rad)
-        warnings = _check_requests(goal.requests, start.start_rad, context)
+        if options is not None:
+            replanning(options)
+            warnings += ignored_options(options)
+            if (diff := scene_diff(options)) is not None:
+                scene = context.scene_state.with_diff({**diff, **(attached_diff(state) or {})}, start.start_rad)
     except RefusedError as error:
         return Answer.of(error.failure)
-    steps = tuple(map(context.problems.request_step, goal.requests))
-    return await plan_steps(steps, start, scene, context, (*goal.warnings, *warnings))
+    steps = [context.problems.request_step(request, warnings) for request in requests]
+    return await plan_steps(steps, start, scene, context, warnings)
 
 
 async def plan_steps(
@@ -245,20 +235,15 @@ async def plan_steps(
     context: PlanningContext,
     warnings: Sequence[str] = (),
 ) -> Answer:
-    """Plan motions one after the other, without moving, and show them."""
+    """Plan motions one after the other, without moving, and show them; the steps may add warnings."""
     planned = await plan_sequence(steps, start.start_rad, scene, context.pool)
+    if planned.planned:
+        context.display.performed(planned)
     if planned.failure is not None:
         context.display.contacts_of(planned.failure.details)
         failure = await with_nearest_goal(planned.failure, planned.problem, scene, context.pool)
         return Answer.of(failure, planned)
-    context.display.performed(planned)
-    message = "; ".join((planned.summary, *planned.notes, *start.warnings, *warnings))
-    return Answer(MoveItErrorCode.SUCCESS, message, performed=planned)
-
-
-def _check_requests(requests: Sequence[Message], start_rad: Positions, context: PlanningContext) -> tuple[str, ...]:
-    built = [context.problems.motion_plan(request, start_rad) for request in requests]
-    return tuple(warning for one in built for warning in one.warnings)
+    return Answer(MoveItErrorCode.SUCCESS, "; ".join((*start.warnings, *warnings, *planned.notes)), performed=planned)
 
 
 def offer_execute_trajectory(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:

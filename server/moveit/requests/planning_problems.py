@@ -125,9 +125,16 @@ class ProblemBuilder:
             optimization_time_s=parameters.shortening_time_s(parameters.allowed_planning_time),
         )
 
-    def request_step(self, request: Message) -> MotionStep:
-        """Return the step of a moveit_msgs/MotionPlanRequest."""
-        return lambda start_rad: self.motion_plan(request, start_rad).problem
+    def request_step(self, request: Message, warnings: list[str] | None = None) -> MotionStep:
+        """Return the step of a moveit_msgs/MotionPlanRequest; its warnings are added to a list."""
+
+        def step(start_rad: Positions) -> PlanningProblem | CartesianProblem:
+            built = self.motion_plan(request, start_rad)
+            if warnings is not None:
+                warnings.extend(built.warnings)
+            return built.problem
+
+        return step
 
     def motion_plan(self, request: Message, start_rad: Positions) -> BuiltProblem[PlanningProblem | CartesianProblem]:
         """Build the problem of a moveit_msgs/MotionPlanRequest; its start state is read before."""

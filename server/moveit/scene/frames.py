@@ -1,8 +1,9 @@
-"""Frames by name: links, collision objects, their subframes, and fixed frames."""
+"""Frames by name: links, collision objects, and their subframes."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from planners.problem import MoveItErrorCode
@@ -40,16 +41,17 @@ class LinkTransforms:
         self.robot = robot
         self._forward = forward
         self._positions_rad = positions_rad
-        self._transforms: Mapping[str, Vector] | None = None
+
+    @cached_property
+    def _transforms(self) -> Mapping[str, Vector]:
+        return {} if self._positions_rad is None else self._forward.transforms(self._positions_rad)
 
     def pose(self, link: str) -> Pose:
         """Return the pose of a link in the root link."""
         if link == self.robot.root_link:
             return IDENTITY
-        if self._positions_rad is None:
+        if link not in self._transforms:
             raise _unknown(link, f"the pose of the link {link!r} is not known: the arm's position is not known")
-        if self._transforms is None:
-            self._transforms = self._forward.transforms(self._positions_rad)
         return pose_of(self._transforms[link])
 
 
@@ -78,7 +80,7 @@ def find_frame(frame_id: str, around: SceneContents, links: LinkTransforms) -> P
     """Return the pose of a frame in the root link.
 
     The empty name, ``world`` and the root link are the root link itself; a leading slash does not matter. A subframe
-    is named ``OBJECT/SUBFRAME``. Links are found before objects, and objects before fixed frames.
+    is named ``OBJECT/SUBFRAME``. Links are found before objects.
     """
     name = frame_id.removeprefix("/")
     if not name:
@@ -94,11 +96,9 @@ def find_frame(frame_id: str, around: SceneContents, links: LinkTransforms) -> P
         found = _object_frame(object_name, subframe, around, links)
         if found is not None:
             return found
-    if name in around.fixed_frames:
-        return around.fixed_frames[name]
     if name == WORLD:
         return IDENTITY
-    known = [*links.robot.links, *around.objects, *around.attached, *around.fixed_frames]
+    known = [*links.robot.links, *around.objects, *around.attached]
     listed = ", ".join(known[:MAX_LISTED]) + (", ..." if len(known) > MAX_LISTED else "")
     raise _unknown(name, f"there is no frame {name!r}; known are {listed}")
 

@@ -229,7 +229,7 @@ def offer_geometry_files(node: LocalNode, state: SceneState, current: CurrentSta
         except MessageError as error:
             raise invalid(f"{name}: {error}") from error
         # As in MoveIt, objects that the file does not name stay.
-        await state.change(state.diff({"is_diff": True, "world": world}), current.positions_rad())
+        await state.submit(state.diff({"is_diff": True, "world": world}), current.positions_rad())
 
     def offer(service: str, type_name: str, work: Callable[[str], Awaitable[None]], rule: Rule) -> None:
         async def serve(request: Message) -> Message:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from planners.scene_checks import MAX_SCENE_TRIANGLES, MAX_SHAPES
-from protocol.errors import MessageError
 from protocol.messages import ListLimits
 from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
@@ -30,7 +29,7 @@ from server.moveit.scene.collision_objects import (
     CollisionObject,
 )
 from server.moveit.scene.geometry_files import offer_geometry_files
-from server.moveit.scene.planning_scene import MAX_COLORS, MAX_FIXED_FRAMES, NO_PADDING_M, NO_SCALE, SceneContents
+from server.moveit.scene.planning_scene import MAX_COLORS, NO_PADDING_M, NO_SCALE, SceneContents
 from server.moveit.scene.scene_state import AssumedStates, SceneChange, SceneState
 
 log = logging.getLogger("armbridge.scene")
@@ -45,7 +44,6 @@ SCENE_LIMITS = ListLimits(
         **{f"moveit_msgs/msg/CollisionObject.{each}": MAX_SHAPES for each in _SHAPE_LISTS},
         "moveit_msgs/msg/CollisionObject.subframe_names": 2 * MAX_SUBFRAMES,
         "moveit_msgs/msg/CollisionObject.subframe_poses": 2 * MAX_SUBFRAMES,
-        "moveit_msgs/msg/PlanningScene.fixed_frame_transforms": MAX_FIXED_FRAMES,
         "moveit_msgs/msg/PlanningScene.object_colors": MAX_COLORS,
         # Some may be removed, and others added.
         "moveit_msgs/msg/PlanningSceneWorld.collision_objects": 2 * MAX_SHAPES,
@@ -99,16 +97,15 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
     settings = requested & SCENE_SETTINGS
     links = robot.links if requested & LINK_PADDING_AND_SCALING else ()
     colors = contents.colors if requested & OBJECT_COLORS else {}
-    # As in MoveIt the planning frame is among the fixed frames.
-    frames = {robot.root_link: IDENTITY, **contents.fixed_frames} if requested & TRANSFORMS else {}
+    # As in MoveIt the planning frame is among the fixed frames; here it is the only one.
+    frames = (robot.root_link,) if requested & TRANSFORMS else ()
     header = {"stamp": NO_STAMP, "frame_id": robot.root_link}
     return {
         "name": contents.name if settings else "",
         "robot_state": _state(contents, state, requested),
         "robot_model_name": robot.name if settings else "",
         "fixed_frame_transforms": [
-            {"header": header, "child_frame_id": name, "transform": write_transform(pose)}
-            for name, pose in frames.items()
+            {"header": header, "child_frame_id": name, "transform": write_transform(IDENTITY)} for name in frames
         ],
         "allowed_collision_matrix": contents.allowed_collisions.message
         if requested & ALLOWED_COLLISION_MATRIX
@@ -122,9 +119,8 @@ def scene_message(contents: SceneContents, robot: RobotModel, state: Message, co
 
 
 def scene_diff(before: SceneContents, after: SceneContents, robot: RobotModel) -> dict[str, Any]:
-    """Write the moveit_msgs/PlanningScene that turns one scene into another; it cannot remove colours and frames."""
+    """Write the moveit_msgs/PlanningScene that turns one scene into another; it cannot remove colours."""
     changes = {
-        TRANSFORMS: before.fixed_frames != after.fixed_frames,
         ALLOWED_COLLISION_MATRIX: before.allowed_collisions != after.allowed_collisions,
         LINK_PADDING_AND_SCALING: (before.padding_m, before.scale) != (after.padding_m, after.scale),
         OBJECT_COLORS: before.colors != after.colors,
@@ -178,13 +174,14 @@ def _subscribe_to_scene_topics(node: LocalNode, state: SceneState, current: Curr
         "/attached_collision_object": ("moveit_msgs/msg/AttachedCollisionObject", state.attached_object),
     }
 
-    def end(topic: str, refusal: MessageError | RefusedError | None) -> None:
+    def end(topic: str, refusal: BaseException | None) -> None:
         if refusal is not None:
             log.warning("%s: refused, nothing is changed: %s", topic, refusal)
 
     def deliver(published: PublishedMessage) -> None:
         _, read = topics[published.topic]
-        state.submit(read(published.msg), current.positions_rad(), functools.partial(end, published.topic))
+        applied = state.submit(read(published.msg), current.positions_rad())
+        applied.add_done_callback(lambda applied: end(published.topic, applied.exception()))
 
     for topic, (type_name, _) in topics.items():
         node.subscribe(topic, type_name, deliver, functools.partial(end, topic), limits=SCENE_LIMITS, rule=WORKING)
@@ -281,22 +278,31 @@ class SceneInterface:
     def _apply(self, call: Call) -> None:
         scene, caller, assumed = call.request["scene"], call.caller, self._assumed
 
-        def end(refusal: RefusedError | None) -> None:
-            if refusal is None:
+        def refuse(reason: object) -> None:
+            log.warning("%s: refused, nothing is changed: %s", APPLY, reason)
+            call.succeed({"success": False}, f"refused, nothing is changed: {reason}")
+
+        def end(applied: asyncio.Future[None]) -> None:
+            if applied.cancelled():
+                refuse("its request ended before the change was applied")
+            elif (refusal := applied.exception()) is not None:
+                refuse(refusal)
+            else:
                 # What a client that has left assumed is nobody's.
                 if not call.caller_left:
                     assumed.assume(caller, assumed_rad)
                 call.succeed({"success": True})
-            else:
-                log.warning("%s: refused, nothing is changed: %s", APPLY, refusal)
-                call.succeed({"success": False}, f"refused, nothing is changed: {refusal}")
 
-        assumed_rad = None
         try:
             assumed_rad = assumed.after(caller, scene["robot_state"])
         except RefusedError as error:
-            end(error)
+            refuse(error)
             return
         positions_rad = assumed.completed(assumed_rad, self._current.positions_rad())
+        applied = self._state.submit(self._state.diff(scene), positions_rad)
+        if applied.done():
+            end(applied)
+            return
+        applied.add_done_callback(end)
         # A client that has left got no failure as an answer: its change is made all the same.
-        self._state.submit(self._state.diff(scene), positions_rad, end, lambda: call.ended and not call.caller_left)
+        call.when_ended(lambda _response: call.caller_left or applied.cancel())

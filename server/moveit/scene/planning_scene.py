@@ -44,9 +44,8 @@ NO_NAME = "(noname)"
 
 OPERATIONS = {ADD: "ADD", REMOVE: "REMOVE", APPEND: "APPEND", MOVE: "MOVE"}
 
-# Colours and frames can be set for objects that do not exist yet, so the limit on shapes does not bound them.
+# Colours can be set for objects that do not exist yet, so the limit on shapes does not bound them.
 MAX_COLORS = 2000
-MAX_FIXED_FRAMES = 1000
 
 # Padding and scale of links that no message has named.
 NO_PADDING_M = 0.0
@@ -56,7 +55,6 @@ NO_SCALE = 1.0
 EMPTY_DIFF: Message = {
     "name": "",
     "robot_model_name": "",
-    "fixed_frame_transforms": (),
     "robot_state": {"is_diff": True, "attached_collision_objects": ()},
     "allowed_collision_matrix": {"entry_names": (), "default_entry_names": ()},
     "link_padding": (),
@@ -79,7 +77,6 @@ class SceneContents:
     padding_m: dict[str, float] = field(default_factory=dict)
     scale: dict[str, float] = field(default_factory=dict)
     colors: dict[str, Message] = field(default_factory=dict)  # link or object -> std_msgs/ColorRGBA
-    fixed_frames: dict[str, Pose] = field(default_factory=dict)
 
     def looks_same(self, other: SceneContents) -> bool:
         return (
@@ -102,24 +99,21 @@ class SceneContents:
         )
 
 
-def _parts(contents: SceneContents) -> dict[str, Any]:
-    """Return contents by field, the dicts as copies."""
-    parts = {each.name: getattr(contents, each.name) for each in fields(SceneContents)}
-    return {name: dict(part) if isinstance(part, dict) else part for name, part in parts.items()}
-
-
 class SceneDraft(SceneContents):
     """Scene contents under change."""
 
     def __init__(self, contents: SceneContents, links: LinkTransforms) -> None:
-        super().__init__(**_parts(contents))
+        parts = vars(contents).items()
+        copied: dict[str, Any] = {name: part.copy() if isinstance(part, dict) else part for name, part in parts}
+        super().__init__(**copied)
         # The contents to start from, which stay as they are; an object that is only repeated stays the same one.
         self.before = contents
         self.links = links  # transforms of the links, which do not move meanwhile
         self.root = links.robot.root_link  # the planning frame
 
     def contents(self) -> SceneContents:
-        return SceneContents(**_parts(self))
+        """Return the changed contents; the draft is changed no more."""
+        return SceneContents(**{each.name: getattr(self, each.name) for each in fields(SceneContents)})
 
     def is_root(self, frame_id: str) -> bool:
         """Tell by its name alone if a frame is the planning frame."""
@@ -143,7 +137,7 @@ class SceneDraft(SceneContents):
     def clear(self, allowed_collisions: AllowedCollisionMatrix) -> None:
         """Remove everything but the attached objects."""
         self.allowed_collisions, self.objects = allowed_collisions, {}
-        self.padding_m, self.scale, self.colors, self.fixed_frames = {}, {}, {}, {}
+        self.padding_m, self.scale, self.colors = {}, {}, {}
 
     def forget(self, name: str) -> None:
         self.colors.pop(name, None)
@@ -309,7 +303,6 @@ def apply_planning_scene(draft: SceneDraft, message: Message, srdf_matrix: Allow
         draft.clear(srdf_matrix)
     if scene["name"]:
         draft.name = scene["name"]
-    _apply_fixed_frames(draft, scene["fixed_frame_transforms"])
     _apply_attached_objects(draft, scene["robot_state"], whole=not scene["is_diff"])
     matrix = scene["allowed_collision_matrix"]
     # A matrix without names is a field that the client has left out.
@@ -373,19 +366,3 @@ def _apply_link_values(draft: SceneDraft, values: dict[str, float], scene: Messa
         values.pop(link, None)
         if value != default:
             values[link] = value
-
-
-def _apply_fixed_frames(draft: SceneDraft, messages: Sequence[Message]) -> None:
-    """Set fixed frames, given in the planning frame; an entry for the planning frame itself is ignored."""
-    for i, entry in enumerate(messages):
-        where = f"fixed_frame_transforms[{i}]"
-        name, frame_id = entry["child_frame_id"].removeprefix("/"), entry["header"]["frame_id"]
-        if draft.is_root(name):
-            continue
-        if not draft.is_root(frame_id.removeprefix("/")):
-            text = f"{where}.header.frame_id must be the planning frame {draft.root!r}, not {frame_id!r}"
-            raise refused(MoveItErrorCode.FRAME_TRANSFORM_FAILURE, text, frame=frame_id)
-        pose = {"position": entry["transform"]["translation"], "orientation": entry["transform"]["rotation"]}
-        draft.fixed_frames[name] = read_bounded_pose(pose, f"{where}.transform")
-    if len(draft.fixed_frames) > MAX_FIXED_FRAMES:
-        raise invalid(f"there would be {len(draft.fixed_frames)} fixed frames, more than {MAX_FIXED_FRAMES}")

@@ -72,6 +72,7 @@ class SavedScene:
         try:
             # A server that is just ending is waited for.
             await self._disk.do(lambda: self._lock.acquire(files.LOCK_TIMEOUT_S))
+            await self._restore()
         except files.FileLockedError as error:
             remedy = "give one of the two servers a scene.file of its own"
             log.warning("the planning scene is not kept: %s %s; %s", path, error.strerror, remedy)
@@ -79,12 +80,6 @@ class SavedScene:
         except OSError as error:
             self._give_back()
             log.warning("the planning scene is not kept in %s: %s", path, error.strerror)
-            return
-        try:
-            await self._restore()
-        except OSError as error:
-            self._give_back()
-            log.warning("the planning scene is not kept: %s cannot be read: %s", path, error.strerror)
             return
         self._kept = self._state.contents
         self._state.on_change(self._changed.set)
@@ -238,7 +233,7 @@ class NamedScenes(NamedFiles):
         content = await self.read(name, lambda path: read_json(path, MAX_SCENE_BYTES), "loaded")
         try:
             message = complete_scene(self._message_types, content)
-            await self._state.change(self._state.diff(message), positions_rad)
+            await self._state.submit(self._state.diff(message), positions_rad)
         except (MessageError, RefusedError) as error:
             raise ServiceError(f"the scene {name!r} cannot be loaded: {error}") from error
         return f"the scene {name!r} is loaded, with {objects_in_words(self._state.contents)}"
@@ -251,10 +246,9 @@ def offer_named_scenes(graph: Graph, scenes: NamedScenes, current: CurrentState)
     def load(request: Message) -> Awaitable[str]:
         return scenes.load(request["name"], current.positions_rad())
 
-    def save(request: Message) -> Awaitable[str]:
-        return scenes.save(request["name"])
-
     node.offer("/arm/scenes/list", "armbridge_msgs/srv/ListScenes", scenes.list_for, rule=LOOKING)
-    node.offer("/arm/scenes/save", "armbridge_msgs/srv/SaveScene", save, rule=CONFIGURING)
+    node.offer(
+        "/arm/scenes/save", "armbridge_msgs/srv/SaveScene", lambda each: scenes.save(each["name"]), rule=CONFIGURING
+    )
     node.offer("/arm/scenes/load", "armbridge_msgs/srv/LoadScene", load, rule=WORKING)
     node.offer("/arm/scenes/delete", "armbridge_msgs/srv/DeleteScene", scenes.delete_for, rule=CONFIGURING)

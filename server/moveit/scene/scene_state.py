@@ -53,14 +53,6 @@ class SceneChange:
     elements: int
 
 
-# Called with the reason if a change was refused, or with None.
-Done = Callable[[RefusedError | None], None]
-
-# Returns True once the request for a change has ended, such as by its timeout. The change was then reported as
-# failed, and must not be applied.
-Ended = Callable[[], bool]
-
-
 class SceneState(CurrentScene):
     """The planning scene. A message changes it as a whole, or not when it is rejected.
 
@@ -76,7 +68,7 @@ class SceneState(CurrentScene):
         self._forward = ForwardPlacements(robot)
         self._srdf_matrix = AllowedCollisionMatrix.of_robot(robot)
         self._versions = itertools.count(EMPTY_SCENE.version + 1)
-        self._waiting: deque[tuple[SceneChange, OptionalPositions, Done, Ended]] = deque()
+        self._waiting: deque[tuple[SceneChange, OptionalPositions, asyncio.Future[None]]] = deque()
         self._applying: asyncio.Task[None] | None = None
         self.frame = robot.root_link
         self.contents = SceneContents(self._srdf_matrix)  # contents of the scene; another object after every change
@@ -90,7 +82,7 @@ class SceneState(CurrentScene):
         attached = scene["robot_state"]["attached_collision_objects"]
         elements = _elements([*scene["world"]["collision_objects"], *(each["object"] for each in attached)])
         elements += len(scene["allowed_collision_matrix"]["entry_names"]) ** 2
-        elements += OBJECT_ELEMENTS * (len(scene["fixed_frame_transforms"]) + len(scene["object_colors"]))
+        elements += OBJECT_ELEMENTS * len(scene["object_colors"])
         return SceneChange(lambda draft: self._apply_scene(draft, message), elements)
 
     def world(self, message: Message) -> SceneChange:
@@ -109,39 +101,28 @@ class SceneState(CurrentScene):
         elements = _elements([message["object"]])
         return SceneChange(lambda draft: apply_attached_object(draft, message, "attached_object"), elements)
 
-    def submit(
-        self, change: SceneChange, positions_rad: OptionalPositions, done: Done, ended: Ended = lambda: False
-    ) -> None:
-        """Apply a change in its turn, at once if it is small and none waits; refuse it if its request has ``ended``."""
+    def submit(self, change: SceneChange, positions_rad: OptionalPositions) -> asyncio.Future[None]:
+        """Apply a change in its turn, at once if it is small and none waits, but not once its future is cancelled.
+
+        The future raises RefusedError where the change is refused.
+        """
+        applied: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        elements = sum(waiting.elements for waiting, *_ in self._waiting) + change.elements
         if self._applying is None and change.elements <= AT_ONCE_ELEMENTS:
             try:
                 self.apply(change.apply, positions_rad)
             except RefusedError as refusal:
-                done(refusal)
+                applied.set_exception(refusal)
             else:
-                done(None)
-            return
-        elements = sum(waiting.elements for waiting, *_ in self._waiting) + change.elements
-        if self._waiting and elements > MAX_WAITING_ELEMENTS:
+                applied.set_result(None)
+        elif self._waiting and elements > MAX_WAITING_ELEMENTS:
             text = f"changes of the scene with {elements} elements would wait; the limit is {MAX_WAITING_ELEMENTS}"
-            done(refused(MoveItErrorCode.FAILURE, text))
-            return
-        self._waiting.append((change, positions_rad, done, ended))
-        if self._applying is None:
-            self._applying = asyncio.create_task(self._apply_waiting(), name="planning scene")
-
-    async def change(self, change: SceneChange, positions_rad: OptionalPositions) -> None:
-        """Apply a change in its turn, and wait until it is applied; not once the wait is cancelled."""
-        applied: asyncio.Future[RefusedError | None] = asyncio.get_running_loop().create_future()
-
-        def done(refusal: RefusedError | None) -> None:
-            if not applied.cancelled():
-                applied.set_result(refusal)
-
-        self.submit(change, positions_rad, done, applied.cancelled)
-        refusal = await applied
-        if refusal is not None:
-            raise refusal
+            applied.set_exception(refused(MoveItErrorCode.FAILURE, text))
+        else:
+            self._waiting.append((change, positions_rad, applied))
+            if self._applying is None:
+                self._applying = asyncio.create_task(self._apply_waiting(), name="planning scene")
+        return applied
 
     @property
     def pending(self) -> bool:
@@ -150,9 +131,7 @@ class SceneState(CurrentScene):
     async def settled(self) -> None:
         """Wait until the changes that have been submitted until now are applied or refused."""
         if self._applying is not None:
-            turn = asyncio.get_running_loop().create_future()
-            self.submit(SceneChange(lambda _draft: None, 0), None, turn.set_result)
-            await asyncio.shield(turn)
+            await asyncio.shield(self.submit(SceneChange(lambda _draft: None, 0), None))
 
     def close(self) -> None:
         """Apply no more of the changes that wait."""
@@ -179,37 +158,39 @@ class SceneState(CurrentScene):
         model = message.get("robot_model_name", "")
         if model not in ("", self.robot.name):
             log.warning("planning scene: robot_model_name is %r; this robot is %r", model, self.robot.name)
+        frames = (entry["child_frame_id"] for entry in message.get("fixed_frame_transforms", ()))
+        if ignored := [frame for frame in frames if frame.removeprefix("/") not in ("", self.frame)]:
+            log.warning("planning scene: fixed_frame_transforms are ignored, such as %r", ignored[0])
         apply_planning_scene(draft, message, self._srdf_matrix)
 
     async def _apply_waiting(self) -> None:
         try:
             while self._waiting:
-                change, positions_rad, done, ended = self._waiting[0]
-                refusal = await self._applied_in_thread(change, positions_rad, ended)
+                await self._apply_in_thread(*self._waiting[0])
                 self._waiting.popleft()
-                done(refusal)
         finally:
             self._applying = None
 
-    async def _applied_in_thread(
-        self, change: SceneChange, positions_rad: OptionalPositions, ended: Ended
-    ) -> RefusedError | None:
+    async def _apply_in_thread(
+        self, change: SceneChange, positions_rad: OptionalPositions, applied: asyncio.Future[None]
+    ) -> None:
         """Apply a change read by a thread, once more if the scene has become another meanwhile."""
-        try:
-            while not ended():
-                before = self.contents
-                contents, scene = await asyncio.to_thread(
-                    self._changed_and_written, before, change.apply, positions_rad
-                )
-                if self.contents is before and not ended():
-                    self._commit(contents, scene)
-                    return None
-        except RefusedError as refusal:
-            return refusal
-        except Exception as error:  # a bug in one change must not hold up those that wait
-            log.exception("a change of the planning scene failed")
-            return refused(MoveItErrorCode.FAILURE, f"the change failed inside the server: {type(error).__name__}")
-        return refused(MoveItErrorCode.TIMED_OUT, "its request ended before the change was applied")
+        while not applied.done():
+            before = self.contents
+            try:
+                changed = await asyncio.to_thread(self._changed_and_written, before, change.apply, positions_rad)
+            except Exception as error:  # a bug in one change must not hold up those that wait
+                refusal = error
+                if not isinstance(error, RefusedError):
+                    log.exception("a change of the planning scene failed")
+                    text = f"the change failed inside the server: {type(error).__name__}"
+                    refusal = refused(MoveItErrorCode.FAILURE, text)
+                if not applied.done():
+                    applied.set_exception(refusal)
+            else:
+                if self.contents is before and not applied.done():
+                    self._commit(*changed)
+                    applied.set_result(None)
 
     def _changed_and_written(
         self, before: SceneContents, change: DraftChange, positions_rad: OptionalPositions

@@ -14,19 +14,18 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias, cast
 
 from planners.goals import Constraints
-from planners.problem import CartesianPlan, MoveItErrorCode, PlanningFailure, StateQuestion
+from planners.problem import MoveItErrorCode, PlanningFailure, StateQuestion
 from planners.scene import Scene
 from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
 from server.errors import RefusedError, ServiceError, UnsuccessfulError, required
-from server.execution.failures import with_nearest_goal
 from server.execution.monitors import state_message
-from server.execution.motions import Problem, deviation_note, plan_sequence
+from server.execution.motions import deviation_note
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Node, Rule
 from server.graph.providers import CompleteResponse
 from server.graph.services import Answered, Call, answer
 from server.graph.topics import Graph
-from server.moveit.goals.goal_topics import with_suggestion
+from server.moveit.actions.move_group import move_group_result, plan_only, sequence_result
 from server.moveit.messages import Message, error_code, success, write_pose
 from server.moveit.parameters import KNOWN_KEYS, MAX_ALLOWED_PLANNING_TIME_S
 from server.moveit.requests.constraints import known_link, read_path_constraints
@@ -40,7 +39,7 @@ from server.moveit.requests.planning_problems import (
     sequence_requests,
 )
 from server.moveit.scene.frames import seen_from
-from server.moveit.trajectories import to_messages
+from server.moveit.trajectories import to_messages, written
 
 log = logging.getLogger("armbridge.moveit")
 
@@ -48,7 +47,7 @@ log = logging.getLogger("armbridge.moveit")
 ROBOT_LINK, WORLD_OBJECT, ROBOT_ATTACHED = 0, 1, 2
 
 # Computes the response to a request of a client.
-Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[dict[str, Any]] | dict[str, Any]]
+Handler: TypeAlias = Callable[[PlanningContext, Message, Node], Awaitable[Message] | Message]
 
 # Twice the planners' own deadline: a request may wait for another one first.
 TIMEOUT_S = 2.0 * MAX_ALLOWED_PLANNING_TIME_S
@@ -72,7 +71,7 @@ async def compute_ik(context: PlanningContext, request: Message, caller: Node) -
         # As MoveIt answers: clients that try one pose after the other go on where there is no solution.
         found = replace(found, code=MoveItErrorCode.NO_IK_SOLUTION)
     answer = required(found)
-    solution = state_message(dict(answer.positions_rad[0]), context.robot.root_link, 0.0)
+    solution = state_message(answer.positions_rad[0], context.robot.root_link, 0.0)
     return {"solution": solution, "error_code": success(*built.warnings, deviation_note(answer.deviations[0]))}
 
 
@@ -173,34 +172,18 @@ def _contacts(pairs: Sequence[Mapping[str, Any]], robot: RobotModel, scene: Scen
 async def plan_kinematic_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
     """Plan a motion; returns the response of moveit_msgs/GetMotionPlan."""
     plan_request = request["motion_plan_request"]
-    start = context.start(plan_request["start_state"], caller)
-    built = context.problems.motion_plan(plan_request, start.start_rad)
-    plan = await context.pool.ask(built.problem, start.scene)
-    if isinstance(plan, PlanningFailure):
-        raise RefusedError(await explained(plan, built.problem, start.scene, context))
-    if isinstance(plan, CartesianPlan) and plan.stopped_by is not None:
-        raise RefusedError(await explained(plan.stopped_by, built.problem, start.scene, context))
-    root = context.robot.root_link
-    start_state = state_message(dict(start.start_rad), root, 0.0)
-    [trajectory] = await to_messages([plan.trajectory], root)
-    context.display.trajectories([trajectory], start_state)
+    group = context.problems.group(plan_request["group_name"])
+    answer = await plan_only([plan_request], caller, context)
+    result = await written(answer.performed.planned, lambda: move_group_result(answer, context.robot))
     response = {
-        "trajectory_start": start_state,
-        "group_name": built.problem.group,
-        "trajectory": trajectory,
-        "planning_time": plan.planning_time_s,
-        "error_code": success(*start.warnings, *built.warnings, deviation_note(plan.deviation)),
+        "trajectory_start": result["trajectory_start"],
+        "group_name": group.name,
+        "trajectory": result["planned_trajectory"],
+        "planning_time": result["planning_time"],
+        "error_code": result["error_code"],
     }
     context.display.pipeline(plan_request, response)
     return {"motion_plan_response": response}
-
-
-async def explained(
-    failure: PlanningFailure, problem: Problem | None, scene: Scene, context: PlanningContext
-) -> PlanningFailure:
-    """Return a failure whose message says what would work, if anything was found."""
-    added = await with_nearest_goal(failure, problem, scene, context.pool)
-    return replace(added, message=with_suggestion(added.message, added.details, context.robot))
 
 
 async def compute_cartesian_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
@@ -216,7 +199,7 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
     built = await asyncio.to_thread(read, request, start.start_rad) if long else read(request, start.start_rad)
     plan = required(await context.pool.ask(built.problem, start.scene))
     root = context.robot.root_link
-    start_state = state_message(dict(start.start_rad), root, 0.0)
+    start_state = state_message(start.start_rad, root, 0.0)
     [solution] = await to_messages([plan.trajectory], root)
     context.display.trajectories([solution], start_state)
     if plan.stopped_by is not None:
@@ -234,31 +217,13 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
     }
 
 
-async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:
+async def plan_sequence_path(context: PlanningContext, request: Message, caller: Node) -> Message:
     """Plan a sequence of motions; returns the response of moveit_msgs/GetMotionSequence.
 
     If an item cannot be planned, the response has the motions of the items before it, and the item's error code.
     """
-    requests = sequence_requests(request["request"])
-    steps = [*map(context.problems.request_step, requests)]
-    start = context.start(requests[0]["start_state"], caller)
-    planned = await plan_sequence(steps, start.start_rad, start.scene, context.pool)
-    root, performed, failure = context.robot.root_link, planned, planned.failure
-    if failure is not None:
-        failure = await explained(failure, planned.problem, start.scene, context)
-    start_state = state_message(dict(start.start_rad), root, 0.0)
-    trajectories = await to_messages(performed.planned, root)
-    context.display.trajectories(trajectories, start_state)
-    return {
-        "response": {
-            "error_code": success(*start.warnings, *planned.notes)
-            if failure is None
-            else error_code(failure.code, failure.message),
-            "sequence_start": start_state,
-            "planned_trajectories": trajectories,
-            "planning_time": performed.planning_time_s,
-        }
-    }
+    answer = await plan_only(sequence_requests(request["request"]), caller, context)
+    return await written(answer.performed.planned, lambda: sequence_result(answer, context.robot))
 
 
 def query_planner_interface(context: PlanningContext, request: Message, caller: Node) -> dict[str, Any]:  # noqa: ARG001 - a Handler
@@ -343,35 +308,31 @@ def _invalid_state(failure: PlanningFailure) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class MoveGroupService:
-    """Service of move_group; ``complete`` where the handler writes every field of a response that may be large."""
+    """Service of move_group, whose handler writes every field of the response."""
 
     type_name: str
     handler: Handler
     rejection: Callable[[PlanningFailure], dict[str, Any]] = _error_response
-    complete: bool = False
     rule: Rule = PLANNING
 
 
 SERVICES: Mapping[str, MoveGroupService] = {
     "/plan_kinematic_path": MoveGroupService(
-        "GetMotionPlan",
-        plan_kinematic_path,
-        lambda failure: {"motion_plan_response": _error_response(failure)},
-        complete=True,
+        "GetMotionPlan", plan_kinematic_path, lambda failure: {"motion_plan_response": _error_response(failure)}
     ),
     "/compute_ik": MoveGroupService("GetPositionIK", compute_ik),
-    "/compute_fk": MoveGroupService("GetPositionFK", compute_fk, complete=True, rule=LOOKING),
-    "/compute_cartesian_path": MoveGroupService("GetCartesianPath", compute_cartesian_path, complete=True),
-    "/check_state_validity": MoveGroupService("GetStateValidity", check_state_validity, _invalid_state, complete=True),
+    "/compute_fk": MoveGroupService("GetPositionFK", compute_fk, rule=LOOKING),
+    "/compute_cartesian_path": MoveGroupService("GetCartesianPath", compute_cartesian_path),
+    "/check_state_validity": MoveGroupService("GetStateValidity", check_state_validity, _invalid_state),
     "/plan_sequence_path": MoveGroupService(
-        "GetMotionSequence", plan_sequence_path, lambda failure: {"response": _error_response(failure)}, complete=True
+        "GetMotionSequence", plan_sequence_path, lambda failure: {"response": _error_response(failure)}
     ),
     "/query_planner_interface": MoveGroupService(
         "QueryPlannerInterfaces", query_planner_interface, _fail_call, rule=LOOKING
     ),
     "/get_planner_params": MoveGroupService("GetPlannerParams", get_planner_params, _fail_call, rule=LOOKING),
     "/set_planner_params": MoveGroupService("SetPlannerParams", set_planner_params, _fail_call, rule=CONFIGURING),
-    "/get_urdf": MoveGroupService("GetGroupUrdf", get_urdf, complete=True, rule=LOOKING),
+    "/get_urdf": MoveGroupService("GetGroupUrdf", get_urdf, rule=LOOKING),
 }
 
 
@@ -390,7 +351,7 @@ def _start(service: MoveGroupService, context: PlanningContext, call: Call) -> N
 
 def _respond(service: MoveGroupService, context: PlanningContext, call: Call) -> Answered:
     try:
-        return _response(service, call, cast(Message, service.handler(context, call.request, call.caller)))
+        return _response(call, cast(Message, service.handler(context, call.request, call.caller)))
     except RefusedError as error:
         return _rejection(service, context, call, error.failure)
 
@@ -403,7 +364,7 @@ async def _respond_later(service: MoveGroupService, context: PlanningContext, ca
     await context.scene_state.settled()
     try:
         handled = service.handler(context, call.request, call.caller)
-        return _response(service, call, await handled if inspect.isawaitable(handled) else handled)
+        return _response(call, await handled if inspect.isawaitable(handled) else handled)
     except RefusedError as error:
         return _rejection(service, context, call, error.failure)
 
@@ -416,7 +377,7 @@ def _rejection(
     return service.rejection(failure)
 
 
-def _response(service: MoveGroupService, call: Call, response: Message) -> Answered:
+def _response(call: Call, response: Message) -> CompleteResponse:
     # ROS 1 has no field for the message of an error code, so it is logged.
     inner = next((response[name] for name in ("motion_plan_response", "response") if name in response), response)
     code = inner.get("error_code")
@@ -424,4 +385,4 @@ def _response(service: MoveGroupService, call: Call, response: Message) -> Answe
         name = MoveItErrorCode(code["val"]).name
         level = logging.INFO if code["val"] == MoveItErrorCode.SUCCESS else logging.WARNING
         log.log(level, "%s: %s: %s", call.service, name, code["message"])
-    return CompleteResponse(response) if service.complete else response
+    return CompleteResponse(response)

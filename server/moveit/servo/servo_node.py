@@ -87,13 +87,6 @@ class CommandType(IntEnum):
     POSE = 2
 
 
-_TOPICS = {
-    CommandType.TWIST: (TWIST_TOPIC, "geometry_msgs/TwistStamped"),
-    CommandType.JOINT_JOG: (JOINT_TOPIC, "control_msgs/JointJog"),
-    CommandType.POSE: (POSE_TOPIC, "geometry_msgs/PoseStamped"),
-}
-
-
 @dataclass
 class Press:
     """Last press of a client that announces its presses."""
@@ -227,8 +220,6 @@ class ServoNode:
         arm = self._arm = context.arm.part(setup.joints)
         self._queue, self._resolve = context.queue, planning.frames.resolve
         self._busy_joints = frozenset(name for name in context.joints if context.arm.part((name,)) is arm)
-        self._joints = setup.joints
-        self._parameters = servo
         self._node = context.graph.node("servo_node")
         self._status = StatusPublisher(self._node, servo.status_type)
         self._gate = CommandGate(self._present, setup.timeout_s, arm)
@@ -236,8 +227,12 @@ class ServoNode:
         self._last_stop = 0  # stop epoch of the last stop of steering alone
         # Rejected last for another client's control: it repeats its commands many times a second.
         self._logged = ""
-        for kind in CommandType:
-            self._subscribe(*_TOPICS[kind], functools.partial(self._take_command, kind))
+        for topic, type_name, read in (
+            (TWIST_TOPIC, "geometry_msgs/TwistStamped", lambda twist: read_twist(twist, servo)),
+            (JOINT_TOPIC, "control_msgs/JointJog", lambda jog: read_joint_jog(jog, setup.joints, servo)),
+            (POSE_TOPIC, "geometry_msgs/PoseStamped", self._read_pose),
+        ):
+            self._subscribe(topic, type_name, functools.partial(self._take_command, read))
         self._subscribe(TIMEOUT_TOPIC, "std_msgs/Float64", self._take_press)
         self._node.advertise(PARAMETERS_TOPIC, "std_msgs/String", latch=True)
         values = servo.model_dump(include=PUBLISHED_PARAMETERS)
@@ -257,7 +252,7 @@ class ServoNode:
         reject = functools.partial(log.warning, "%s: %s", topic)
         self._node.subscribe(topic, type_name, deliver, reject, rule=SWITCHING)
 
-    def _take_command(self, kind: CommandType, published: PublishedMessage) -> None:
+    def _take_command(self, read: Callable[[Message], ServoInput], published: PublishedMessage) -> None:
         client, now_s = published.publisher, self._node.clock()
         rejection = self._gate.rejection(client, now_s)
         if rejection and self._gate.owner is not client:
@@ -268,7 +263,7 @@ class ServoNode:
             raise invalid(rejection)
         else:
             check_ready(self._arm)
-            command = self._read(kind, published.msg)
+            command = read(published.msg)
             if not command.zero:
                 if self._gate.has_expired(client, published.msg["header"]["stamp"], now_s):
                     raise invalid("the command has expired on its way")
@@ -281,14 +276,8 @@ class ServoNode:
         present = self._node.publishers(TIMEOUT_TOPIC)
         self._gate.press(published.publisher, float(published.msg["data"]), present)
 
-    def _read(self, kind: CommandType, message: Message) -> ServoInput:
-        match kind:
-            case CommandType.TWIST:
-                return read_twist(message, self._parameters)
-            case CommandType.JOINT_JOG:
-                return read_joint_jog(message, self._joints, self._parameters)
-            case CommandType.POSE:
-                return read_pose_target(message, self._resolve, self._session.positions_rad())
+    def _read_pose(self, message: Message) -> ServoInput:
+        return read_pose_target(message, self._resolve, self._session.positions_rad())
 
     def _offer(self) -> None:
         gate, session = self._gate, self._session
@@ -327,4 +316,4 @@ class ServoNode:
         offer(RESET_SERVICE, "std_srvs/Empty", reset, rule=SWITCHING)
 
     def _present(self, client: object) -> bool:
-        return any(client in self._node.publishers(topic) for topic, _ in _TOPICS.values())
+        return any(client in self._node.publishers(topic) for topic in (TWIST_TOPIC, JOINT_TOPIC, POSE_TOPIC))

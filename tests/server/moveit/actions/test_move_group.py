@@ -12,7 +12,6 @@ from server.execution.goal import Answer, GoalRequest, GoalState, Progress
 from server.execution.motions import Performed, PlannedMotion
 from server.graph.actions import GoalStatus
 from server.moveit.actions import move_group
-from server.moveit.requests.planning_problems import PILZ
 from server.moveit.trajectories import POINTS_AT_ONCE
 from tests.helpers.fake_arm import HOME, settle
 from tests.helpers.motions import smooth_move
@@ -21,7 +20,6 @@ from tests.helpers.moveit import (
     ActionDesk,
     ServiceRig,
     assert_refused,
-    ball,
     box,
     joint,
     message,
@@ -177,51 +175,38 @@ async def test_a_sequence_is_one_motion_of_several_steps(desk: ActionDesk) -> No
     assert desk.results[0].values["response"]["error_code"]["val"] == 1
 
 
-def asked(request: dict[str, Any], **options: Any) -> move_group.PlanningGoal:
-    return move_group.read_planning_goal(
-        [message("MotionPlanRequest", **request)], message("PlanningOptions", **options)
-    )
+def options(**fields: Any) -> Any:
+    return message("PlanningOptions", **fields)
 
 
 async def test_a_motion_starts_where_its_turn_comes_and_a_plan_alone_where_the_request_says(rig: ServiceRig) -> None:
     start = {"joint_state": {"name": ["elbow_flex"], "position": [1.0]}}
     changes = {"world": {"collision_objects": [box("box", at=pose(2.0))]}}
-    asked_for = asked({**to(0.3), "start_state": start}, planning_scene_diff=changes)
-    motion: Any = move_group.planned_motion(asked_for, rig.context)
+    request = message("MotionPlanRequest", **to(0.3), start_state=start)
+    motion: Any = move_group.planned_motion([request], options(planning_scene_diff=changes), rig.context)
     later_rad = {**HOME, "elbow_flex": 0.2}
     assert motion.steps[0](later_rad).start_rad == later_rad
     assert any("start_state is ignored" in warning for warning in motion.warnings)
     assert [one.name for one in motion.scene(HOME).objects] == ["box"]
     assert rig.scene_state.scene.objects == ()
     start = {"joint_state": {"name": ["elbow_flex"], "position": [0.5]}, "is_diff": True}
-    answer: Any = await move_group.plan_only(asked({**to(0.3), "start_state": start}), rig.client, rig.context)
+    request = message("MotionPlanRequest", **to(0.3), start_state=start)
+    answer: Any = await move_group.plan_only([request], rig.client, rig.context)
     assert answer.code is MoveItErrorCode.SUCCESS
     assert answer.performed.start_rad["elbow_flex"] == 0.5
     assert answer.performed.planned[0].positions_rad[-1, 0] == pytest.approx(0.3)
     nowhere = {"joint_state": {"name": ["knee"], "position": [0.0]}}
-    refused = await move_group.plan_only(asked({**to(0.3), "start_state": nowhere}), rig.client, rig.context)
+    request = message("MotionPlanRequest", **to(0.3), start_state=nowhere)
+    refused = await move_group.plan_only([request], rig.client, rig.context)
     assert refused.code is MoveItErrorCode.INVALID_ROBOT_STATE
     assert "knee" in refused.message
 
 
-async def test_a_plan_alone_that_fails_says_what_would_work(rig: ServiceRig) -> None:
-    far = {"position_constraints": [ball(0.8, 0.0, 0.2)]}
-    free = await move_group.plan_only(asked({"goal_constraints": [far]}), rig.client, rig.context)
-    assert free.code is MoveItErrorCode.NO_IK_SOLUTION
-    assert "what would work: that point" in move_group.move_group_result(free, ROBOT)["error_code"]["message"]
-    line = {"goal_constraints": [far], "pipeline_id": PILZ, "planner_id": "LIN"}
-    straight = await move_group.plan_only(asked(line), rig.client, rig.context)
-    assert "what would work: the same path to (" in straight.message
-    in_a_sequence = move_group.sequence_result(straight, ROBOT)["response"]
-    for result in (move_group.move_group_result(straight, ROBOT), in_a_sequence):
-        assert result["error_code"]["message"] == straight.message
-
-
 def test_planning_anew_has_moveits_default_and_a_bound_and_no_negative_number_of_attempts() -> None:
     for wanted, attempts in ((0, move_group.DEFAULT_ATTEMPTS), (3, 3), (100_000, move_group.MAX_ATTEMPTS)):
-        assert asked(to(0.3), replan=True, replan_attempts=wanted).attempts == attempts
+        assert move_group.replanning(options(replan=True, replan_attempts=wanted)) == (attempts, 0.0)
     for field in ("look_around_attempts", "replan_attempts"):
-        refused = rejection(asked, to(0.3), **{field: -1})
+        refused = rejection(move_group.replanning, options(**{field: -1}))
         assert_refused(refused, MoveItErrorCode.FAILURE, f"planning_options.{field} must be 0 or more, not -1")
 
 

@@ -44,14 +44,13 @@ MANY = diff(world={"collision_objects": [box(str(number), at=pose(2.0)) for numb
 
 
 async def test_a_large_change_is_read_by_a_thread_for_the_scene_as_it_is_then_and_later_ones_wait_for_it():
-    state, ends = scene_state(), []
+    state = scene_state()
     removal = diff(world={"collision_objects": [{"id": "7", "operation": 1}]})
-    state.submit(state.diff(MANY), BENT, lambda refusal: ends.append(("many", refusal)))
-    state.submit(state.diff(removal), BENT, lambda refusal: ends.append(("removal", refusal)))
-    assert (state.pending, ends, len(state.contents.objects)) == (True, [], 0)
+    applied = [state.submit(state.diff(each), BENT) for each in (MANY, removal)]
+    assert (state.pending, [each.done() for each in applied], len(state.contents.objects)) == (True, [False] * 2, 0)
     state.apply_diff(ADDED, BENT)
     await asyncio.wait_for(state.settled(), TIMEOUT_S)
-    assert ends == [("many", None), ("removal", None)]
+    assert [each.exception() for each in applied] == [None, None]
     assert state.contents.objects.keys() == {"cup", "pen", *map(str, range(100))} - {"7"}
 
 
@@ -60,31 +59,27 @@ async def test_a_large_change_that_is_refused_or_no_longer_waited_for_changes_no
     contents = state.contents
     bad = diff(world={"collision_objects": [*MANY["world"]["collision_objects"], {"id": "ghost", "operation": 1}]})
     with pytest.raises(RefusedError, match="no object 'ghost'"):
-        await asyncio.wait_for(state.change(state.diff(bad), BENT), TIMEOUT_S)
+        await asyncio.wait_for(state.submit(state.diff(bad), BENT), TIMEOUT_S)
     assert state.contents is contents
-    await asyncio.wait_for(state.change(state.diff(ADDED), BENT), TIMEOUT_S)
+    await asyncio.wait_for(state.submit(state.diff(ADDED), BENT), TIMEOUT_S)
     assert "pen" in state.contents.objects
     state = scene_state(box("cup"))
     contents = state.contents
-    waiting = asyncio.create_task(state.change(state.diff(MANY), BENT))
+    waiting = state.submit(state.diff(MANY), BENT)
     await asyncio.sleep(0)
     waiting.cancel()
-    await asyncio.wait([waiting])
     await asyncio.wait_for(state.settled(), TIMEOUT_S)
-    assert waiting.cancelled()
     assert state.contents is contents
 
 
 async def test_changes_that_wait_are_bounded():
-    state, ends = scene_state(), []
-    most = SceneChange(lambda _draft: None, MAX_WAITING_ELEMENTS)
-    for _ in range(2):
-        state.submit(most, BENT, ends.append)
-    assert [str(end) for end in ends] == [
+    state, most = scene_state(), SceneChange(lambda _draft: None, MAX_WAITING_ELEMENTS)
+    first, second = (state.submit(most, BENT) for _ in range(2))
+    text = (
         f"changes of the scene with {2 * MAX_WAITING_ELEMENTS} elements would wait; the limit is {MAX_WAITING_ELEMENTS}"
-    ]
-    await asyncio.wait_for(state.settled(), TIMEOUT_S)
-    assert ends[1:] == [None]
+    )
+    assert str(second.exception()) == text
+    await asyncio.wait_for(first, TIMEOUT_S)
 
 
 def test_a_scene_with_too_many_pairs_of_a_matrix_is_refused_before_they_are_made():
@@ -120,11 +115,14 @@ def test_with_diff_does_not_change_the_scene():
     assert rejection(state.with_diff, diff(world={"collision_objects": [{"id": "x"}]}), BENT).details["object"] == "x"
 
 
-def test_a_scene_for_another_robot_is_taken_with_a_warning_and_an_unknown_touch_link_is_refused(caplog):
+def test_another_robots_name_and_frames_are_ignored_with_a_warning_and_an_unknown_touch_link_is_refused(caplog):
     state, touching = scene_state(box("cup")), held("cup", touch_links=("hand",))
+    frames = [{"child_frame_id": name} for name in (ROBOT.root_link, "camera")]
     with caplog.at_level(logging.WARNING, "armbridge"):
-        state.apply_diff(diff(robot_model_name="panda"), BENT)
+        state.apply_diff(diff(robot_model_name="panda", fixed_frame_transforms=frames), BENT)
     assert "'panda'" in caplog.text
+    assert "'camera'" in caplog.text
+    assert ROBOT.root_link not in caplog.text
     assert rejection(state.apply, state.attached_object(touching).apply, BENT).code is MoveItErrorCode.INVALID_LINK_NAME
 
 

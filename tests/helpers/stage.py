@@ -20,7 +20,7 @@ from robot.control.checks import ACCELERATION_TOLERANCE, VELOCITY_TOLERANCE
 from robot.control.pacing import PERIOD_S
 from robot.description.servo_table import HardwareTable
 from robot.hardware.config import IdealConfig
-from robot.messages import ArmState, Command, Mode, Order, Stop
+from robot.messages import ArmState, Command, Stop
 from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import Vector
 from server.arm.arms import ServedArm
@@ -142,13 +142,11 @@ class RigArm(Arm):
     """The arm as the server has it, whose process is a supervisor in the same event loop."""
 
     def __init__(self, settings: Settings) -> None:
-        self.rig = ArmRig(robot=ROBOT, hardware=IdealConfig(lag_s=0.0))
+        self.rig = ArmRig(robot=ROBOT, hardware=IdealConfig(lag_s=0.0)).started()
         super().__init__(self.rig.config, lambda state: self.stage.take_state(state))
         self._process = cast("ArmProcess", RigProcess(self.rig))
         self.stage = ServerStage(self, settings)
         self.rig.supervisor.handle(Stop(epoch=self.last_stop))
-        self.rig.until(lambda: self.rig.mode in (Mode.RELAXED, Mode.HOLDING))
-        self.rig.order(Order.ENABLE)
 
     async def run(self) -> None:
         """Have the arm's time pass with that of the event loop."""

@@ -148,6 +148,16 @@ def test_replies_keep_their_error_byte_and_may_stop_for_as_long_as_usb_does():
     assert list(read_telemetry(ScriptedPort(replying(1.5 * QUIET_S)).open_bus())) == [1]
 
 
+@pytest.mark.parametrize("latency_s", [LOCAL_LATENCY_S, 0.2])
+def test_a_broadcast_ping_waits_for_the_turns_of_254_servos_and_no_longer(latency_s):
+    replies = ((0.0, b"noise"), (0.7615, FEETECH.status_packet(253, 4)), (0.7635, FEETECH.status_packet(252, 0)))
+    line = ScriptedPort(lambda _instruction: [(at_s + latency_s * (at_s > 0.0), data) for at_s, data in replies])
+    line.latency_s = latency_s
+    bus = line.open_bus()
+    assert bus.broadcast_ping() == {253: 4}
+    assert (bus.counters.replies, bus.counters.discarded_bytes) == (1, len(b"noise"))
+
+
 def test_a_silent_line_is_asked_three_times_and_then_reported():
     line = ScriptedPort(lambda _instruction: [])
     started_s = line.clock()
@@ -311,6 +321,8 @@ def reply(servo_id, data=None):
 
 
 HOLDING = (b"\xff\xff" + bytes([2, LENGTH + 2])).ljust(LENGTH, b"\0")
+HOLDING_NONE = (b"\xff\xff" + bytes([9, LENGTH + 2])).ljust(LENGTH, b"\0")
+HOLDING_SHORTER = (b"\xff\xff" + bytes([2, LENGTH + 1])).ljust(LENGTH, b"\0")
 LYING = bytes([1, LENGTH + 3, 0]) + bytes(LENGTH)
 STREAMS = {
     **{f"only {count} bytes of a reply": (reply(1)[:count], []) for count in range(len(reply(1)))},
@@ -320,6 +332,8 @@ STREAMS = {
     "servo 1 as 3, and 3 itself unheard": (reply(3, bytes([1] * LENGTH)) + reply(2), []),
     "one missing between": (reply(1) + reply(3), [1, 3]),
     "the start of another": (reply(1, HOLDING) + reply(2) + reply(3), [2, 3]),
+    "two bytes as a header's": (reply(1, HOLDING_NONE) + reply(2), [1, 2]),
+    "a header of a shorter reply": (reply(1, HOLDING_SHORTER) + reply(2), [1, 2]),
     "a lie about its length": (b"\xff\xff" + LYING + bytes([checksum(LYING)]), []),
     **{f"noise like {count} bytes of one": (b"\xff\xff\x01\x11\x00"[:count] + reply(2), [2]) for count in range(1, 6)},
 }

@@ -1,4 +1,5 @@
 import contextlib
+import itertools
 import random
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -301,6 +302,8 @@ def test_replies_all_arrive_with_their_error_byte_whether_or_not_noise_precedes_
 def test_only_whole_replies_in_their_turn_are_believed():
     for name, (stream, believed) in STREAMS.items():
         assert list(frames_of(stream)) == believed, name
+    swapped = parse_status_frames(b"".join(reply(servo) for servo in (1, 2, 4, 3)), (1, 2, 3, 4), LENGTH)
+    assert list(swapped) == [1, 2], "either of the last two may have a disturbed id"
 
 
 def test_a_cut_reply_whose_checksum_fits_by_chance_does_not_swallow_its_neighbour():
@@ -350,6 +353,12 @@ def test_an_instruction_is_laid_out_as_the_servos_read_it_and_none_is_longer_tha
     assert len(instruction_packet(1, 3, bytes(longest))) == MAX_INSTRUCTION_BYTES
     with pytest.raises(ValueError, match=f"at most {longest} bytes"):
         instruction_packet(1, 3, bytes(longest + 1))
+
+
+def test_no_register_overlaps_another():
+    assert len(Register) == len(Register.__members__)
+    for register, following in itertools.pairwise(sorted(Register)):
+        assert register + register.size <= following, register
 
 
 def test_the_sign_stands_in_each_registers_own_bit_and_every_documented_status_bit_is_named():

@@ -1,4 +1,4 @@
-"""Wave with a Fetch's hand until Ctrl-C, token in ARM_TOKEN; the server: ``armbridge serve --robot fetch``."""
+"""Wave with a Fetch's hand until Ctrl-C, token in ARMBRIDGE_TOKEN; the server: ``armbridge serve --robot fetch``."""
 
 import argparse
 import itertools
@@ -73,7 +73,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--url", default="ws://127.0.0.1:9090", help="the server (default: %(default)s)")
     arguments = parser.parse_args()
-    headers = {"Authorization": f"Bearer {os.environ['ARM_TOKEN']}"} if "ARM_TOKEN" in os.environ else None
+    token = os.environ.get("ARMBRIDGE_TOKEN")
+    headers = {"Authorization": f"Bearer {token}"} if token else None
     client = roslibpy.Ros(arguments.url, headers=headers)
     try:
         client.run(timeout=CONNECT_TIMEOUT_S)

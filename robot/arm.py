@@ -164,7 +164,7 @@ class Arm(ArmClock):
         self._bodies: SetBodies | None = None
         reason = "the arm process is starting"
         state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, task=STARTING_ARM, clock_s=time.monotonic())
-        self.state = self._with_speed_limit(state)
+        self.state = self._with_speed_limit(replace(state, last_stop=self.last_stop))
         # Age above which the latest state counts as stale [s].
         self.state_max_age_s = SILENT_S if config.hardware.simulated else STATE_MAX_AGE_S
         # Simulated joints of a restarted process continue from here.
@@ -188,12 +188,17 @@ class Arm(ArmClock):
             self._starting = False
 
     def _configure(self) -> None:
-        self._process.configure(replace(self._config, last_stop=self.last_stop))
+        self._process.configure(replace(self._config, last_stop=self.last_stop, stopped=self._stopped))
         if self._bodies is not None:
             self._process.send(self._bodies)
         if self._emergency is not None and self._emergency not in self._orders:
             # There was no process with a configuration, or it ended before it answered.
             self.order(Order.EMERGENCY_STOP)
+
+    @property
+    def _stopped(self) -> bool:
+        """True from a stop, also of no process or of one that ended before it reported it, until more is asked."""
+        return self.state.stopped or self.state.last_stop < self.last_stop
 
     def simulate(self, command: SetBodies | PauseSimulation) -> None:
         """Command the world of an arm with physics; a restarted process has the same bodies, and no pause."""
@@ -518,7 +523,7 @@ class Arm(ArmClock):
         # A clock that is ahead of the machine's must not go back.
         stamp_s = time.time() if self.rate == 1.0 else self.state.stamp_s
         state = ArmState(stamp_s, Mode.DISCONNECTED, names, reason, task, fault=fault, clock_s=self.clock_s)
-        state = replace(state, halted=halted, last_stop=self.last_stop)
+        state = replace(state, halted=halted, last_stop=self.last_stop, stopped=self._stopped)
         try:
             self._take_state(state)
         except Exception:  # a bug in one who takes the state must not end the restarts

@@ -120,6 +120,7 @@ class ArmConfig:
     speed_limit: float = within(1.0, MIN_SPEED_LIMIT, 1.0)
     fault: Fault | None = None  # fault latched by an earlier arm process and not yet reset
     last_stop: int = 0  # stop epoch of the last stop before the process began
+    stopped: bool = False  # True if nothing was asked of the arm since that stop
 
 
 def checked(config: ArmConfig) -> ArmConfig:
@@ -366,6 +367,7 @@ class ArmState(Frequent):
     # Standstill that has stopped the arm, in words: it refuses motions until the server's next stop. Empty for none.
     halted: str = ""
     last_stop: int = 0  # stop epoch of the last stop that the arm process has received
+    stopped: bool = False  # True from a stop of all motion until something else is asked of the arm
     tick_s: float = 0.0  # monotonic time of the machine at its tick; 0 for several arms, which tick by themselves [s]
     clock_s: float = 0.0  # time of the control loop, which on a simulated arm passes no faster than the loop runs [s]
     torque_enabled: bool = False  # True while torque is on

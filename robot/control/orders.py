@@ -41,15 +41,15 @@ class Orders:
     def fault(self) -> Fault | None:
         return self._early_fault if self._arm.controller is None else self._arm.controller.fault
 
-    def connect(self, *, may_enable: bool) -> Steps[str]:
-        """Survey the actuators, take over the holding ones, and enable the arm where permitted."""
+    def connect(self, may_enable: Callable[[], bool]) -> Steps[str]:
+        """Survey the actuators, take over the holding ones, and enable the arm where it then is permitted."""
         hardware = self._arm.hardware
         found = yield from hardware.survey()
         measured = yield from self._first_readings()
         controller = self._begin(found)
         joints = range(len(hardware.joint_names))
         holding = [joint for joint in joints if found.driven[joint]]
-        wanted = list(joints) if may_enable else holding
+        wanted = list(joints) if may_enable() else holding
         if not wanted:
             return "the arm is relaxed"
         try:

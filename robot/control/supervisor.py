@@ -78,6 +78,7 @@ SILENCE_LINES_PER_S = 1.0 / 600.0
 # Names of sequences in progress, in refusals and logs.
 CONNECTING = "checking the servos"
 CHECKING_AGAIN = "checking the servos again"
+SWITCHING_OFF = "relaxing after a stop"
 _NAMES = {
     Order.ENABLE: "enabling",
     Order.RELAX: RELAXING_ARM,
@@ -110,9 +111,9 @@ class Supervisor:
         self._orders: Orders | None = None
         self._task: _Task | None = None
         self._fault: Fault | None = config.fault
-        self._may_enable = config.start_enabled
+        self._may_enable = config.start_enabled and not config.stopped
         self._last_stop = config.last_stop
-        self._stopped = False  # True from a stop of all motion until something else is asked of the arm
+        self._stopped = config.stopped  # ArmState.stopped
         self._halted = ""  # ArmState.halted
         self._reason = ""
         self._retry_s = FIRST_RETRY_S
@@ -177,12 +178,16 @@ class Supervisor:
         # The servos are checked again, which takes time.
         self._clock.pause(paused=False)
         stamp_s, lost_s, fault, names = self._clock.stamp_s(time.time()), self._clock(), self._fault, self._joint_names
-        self._send(ArmState(stamp_s, Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s), True)
+        state = ArmState(stamp_s, Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s)
+        self._send(self._with_stop(state), True)
+
+    def _with_stop(self, state: ArmState) -> ArmState:
+        return replace(state, halted=self._halted, last_stop=self._last_stop, stopped=self._stopped)
 
     def handle(self, message: object) -> None:
         self._heard_s = self._clock()
         if isinstance(message, Stop) and message.epoch > self._last_stop:
-            self._last_stop, self._stopped, self._halted = message.epoch, True, ""
+            self._take_stop(message.epoch)
         controller = self._controller
         if isinstance(message, Execute | Stream):
             self._move(message)
@@ -209,6 +214,13 @@ class Supervisor:
             self._set_bodies()
         elif isinstance(message, PauseSimulation):
             self._clock.pause(paused=message.paused, ticks=message.ticks)
+
+    def _take_stop(self, epoch: int) -> None:
+        """Take a stop of all motion: what was requested before it neither moves the arm nor switches its torque on."""
+        self._last_stop, self._stopped, self._halted = epoch, True, ""
+        self._may_enable = False
+        if self._orders is not None and self._runs(_NAMES[Order.ENABLE]):
+            self._begin(_Task(SWITCHING_OFF, self._orders.relax(), None, self._clock()))
 
     @property
     def spare_ticks(self) -> int:
@@ -249,7 +261,7 @@ class Supervisor:
         task = RELAXING_ARM if self._runs(RELAXING_ARM) else ""
         reason = "it is being relaxed" if task else self._reason
         state = arm_state(arm, self.mode, self.fault, reason, lateness_s, self._clock)
-        state = replace(state, task=task, tick_s=pacer.tick_s, halted=self._halted, last_stop=self._last_stop)
+        state = self._with_stop(replace(state, task=task, tick_s=pacer.tick_s))
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.
             self._state_due = max(self._state_due + self._ticks_per_state, 1)
@@ -318,9 +330,8 @@ class Supervisor:
         if orders is None or self._task is not None or now_s < self._check_at_s:
             return
         if self._controller is None:
-            self._begin(
-                _Task(CONNECTING, orders.connect(may_enable=self._may_enable and self._end is None), None, now_s)
-            )
+            steps = orders.connect(lambda: self._may_enable and self._end is None)
+            self._begin(_Task(CONNECTING, steps, None, now_s))
         elif self.arm is not None and self.arm.hardware.needs_survey and self._end is None:
             self._begin(_Task(CHECKING_AGAIN, orders.survey(), None, now_s))
 
@@ -392,7 +403,7 @@ class Supervisor:
         urgent = order is Order.EMERGENCY_STOP
         if urgent:
             self._may_enable = False
-            self._last_stop = max(self._last_stop, command.epoch)
+            self._last_stop, self._stopped = max(self._last_stop, command.epoch), True
         if order in (Order.ENABLE, Order.RESET_FAULT) and command.epoch < self._last_stop:
             self._answer(command.number, f"{_NAMES[order]}: a stop came after it was requested", done=False)
             return

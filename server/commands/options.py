@@ -90,7 +90,7 @@ def add_connect(parser: argparse.ArgumentParser) -> None:
 
 
 def token_from_environment() -> str | None:
-    return os.environ.get(TOKEN_VARIABLE)
+    return os.environ.get(TOKEN_VARIABLE) or None
 
 
 def add_calibration(parser: argparse.ArgumentParser) -> None:

@@ -18,7 +18,7 @@ from planners.scene import EMPTY_SCENE, Scene
 from robot.arm import Arm, ArmProcess
 from robot.description.servo_table import HardwareTable
 from robot.hardware.config import IdealConfig
-from robot.messages import ArmState, Mode, Order, Stop
+from robot.messages import ArmState, Stop
 from robot.stop_epochs import STOP_EPOCHS
 from robot.trajectory import ACCELERATION_TOLERANCE, PERIOD_S, VELOCITY_TOLERANCE, Vector
 from server.arm.arms import ServedArm
@@ -136,13 +136,11 @@ class RigArm(Arm):
     """The arm as the server has it, whose process is a supervisor in the same event loop."""
 
     def __init__(self, settings: Settings) -> None:
-        self.rig = ArmRig(robot=ROBOT, hardware=IdealConfig(lag_s=0.0))
+        self.rig = ArmRig(robot=ROBOT, hardware=IdealConfig(lag_s=0.0)).started()
         super().__init__(self.rig.config, lambda state: self.stage.take_state(state))
         self._process = cast("ArmProcess", RigProcess(self.rig))
         self.stage = ServerStage(self, settings)
         self.rig.supervisor.handle(Stop(epoch=self.last_stop))
-        self.rig.until(lambda: self.rig.mode in (Mode.RELAXED, Mode.HOLDING))
-        self.rig.order(Order.ENABLE)
 
     async def run(self) -> None:
         """Have the arm's time pass with that of the event loop."""

@@ -47,8 +47,7 @@ class ArmbridgeCamera(Camera):
             DeadlineExceeded: no image came within 5 s.
             ValueError: the images have another size than the options name.
         """
-        token = None if self.config.token_file is None else self.config.token_file.read_text().strip()
-        self._arm = connect(self.config.url, token=token)
+        self._arm = connect(self.config.url)
         try:
             self._images = Watch(self._arm, self.config.topic, CompressedImage)
             height, width, _ = self._decode(self._images.latched()).shape

@@ -13,11 +13,10 @@ SO101_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wr
 
 @dataclass
 class ServerOptions:
-    """The server to connect to.
+    """The server to connect to; it is sent the token in the environment variable ARMBRIDGE_TOKEN.
 
     Attributes:
         url: ``ws://HOST:PORT``, or ``wss://`` for TLS.
-        token_file: file with an operator's token, if the server requires one.
         arm: name of one of several arms; empty for the only arm.
         joints: the arm's joints in the order of the dataset; a name that contains "gripper" is one in percent.
         use_degrees: degrees from the middle of the calibrated range, as lerobot's own default; else -100 to 100 of it.
@@ -27,16 +26,11 @@ class ServerOptions:
     """
 
     url: str = "ws://127.0.0.1:9090"
-    token_file: Path | None = None
     arm: str = ""
     joints: list[str] = field(default_factory=lambda: list(SO101_JOINTS))
     use_degrees: bool = True
     dataset: Path | None = None
     convert: bool = False
-
-    def token(self) -> str | None:
-        """Read the token."""
-        return None if self.token_file is None else self.token_file.read_text().strip()
 
 
 @RobotConfig.register_subclass("armbridge")
@@ -54,4 +48,3 @@ class ArmbridgeCameraConfig(CameraConfig):
 
     topic: str = "/camera/image/compressed"
     url: str = "ws://127.0.0.1:9090"
-    token_file: Path | None = None

@@ -111,7 +111,7 @@ class ArmLink:
         self.prefix = f"/{options.arm}" if options.arm else ""
         # Of several arms each joint carries the arm's name; lerobot's names do not.
         self.server_names = {joint: f"{options.arm}_{joint}" if options.arm else joint for joint in options.joints}
-        self.arm = connect(options.url, token=options.token(), arm=options.arm)
+        self.arm = connect(options.url, arm=options.arm)
         try:
             limits = Watch(self.arm, f"{self.prefix}/arm/joint_limits", KinematicSolverInfo).latched().limits
             self.limits_rad = {each.joint_name: (each.min_position, each.max_position) for each in limits}

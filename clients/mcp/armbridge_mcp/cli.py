@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 import logging
-import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from armbridge_mcp.limits import Region
 from armbridge_mcp.session import Options
@@ -16,19 +14,15 @@ from armbridge_mcp.tools import make_server
 # Everyone who reaches the port of streamable HTTP has the token's role.
 LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 
-TOKEN_VARIABLE = "ARMBRIDGE_TOKEN"  # noqa: S105 - a name
-
 
 def parser() -> argparse.ArgumentParser:
     """Return the command's options."""
     made = argparse.ArgumentParser(
         "armbridge-mcp",
-        description="Let a language model look, check and move a robot arm on an armbridge server, with your approval.",
+        description="Let a language model look, check and move a robot arm on an armbridge server, with your approval. "
+        "A token of the server is read from the environment variable ARMBRIDGE_TOKEN.",
     )
     made.add_argument("--url", default="ws://127.0.0.1:9090", help="address of the armbridge server (%(default)s)")
-    made.add_argument(
-        "--token-file", type=Path, help=f"file with the token; else the environment variable {TOKEN_VARIABLE}"
-    )
     made.add_argument("--arm", default="", help="name of one of several arms")
     made.add_argument(
         "--approval",
@@ -51,9 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Serve until the client leaves."""
     options = parser().parse_args(arguments)
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING)
-    token = options.token_file.read_text().strip() if options.token_file else os.environ.get(TOKEN_VARIABLE)
     server = make_server(
-        Options(options.url, token, options.arm, options.approval == "ask", options.max_speed, options.region)
+        Options(options.url, options.arm, options.approval == "ask", options.max_speed, options.region)
     )
     if options.http is None:
         server.run("stdio")

@@ -69,7 +69,6 @@ class Options:
     """
 
     url: str
-    token: str | None = None
     arm: str = ""
     asks: bool = True
     max_speed: float = 0.2
@@ -125,7 +124,7 @@ class Session:
         async with self._connecting:
             if self._arm is None:
                 options = self.options
-                self._arm = await connect_async(options.url, token=options.token, arm=options.arm)
+                self._arm = await connect_async(options.url, arm=options.arm)
             return self._arm
 
     async def proposes(self) -> bool:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -38,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         target = _target(given.target) if given.command == "move" else ""
-        with connect(given.url, token=os.environ.get("ARMBRIDGE_TOKEN"), arm=given.arm) as arm:
+        with connect(given.url, arm=given.arm) as arm:
             _run(arm, given, target)
     except (ArmError, ValueError) as error:
         print(error, file=sys.stderr)

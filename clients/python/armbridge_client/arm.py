@@ -37,7 +37,7 @@ def connect(
 
     Args:
         url: ``ws://HOST:PORT``, or ``wss://`` for TLS.
-        token: authentication token, if the server requires one.
+        token: authentication token; None for that in the environment variable ARMBRIDGE_TOKEN, if any.
         arm: name of one of several arms; empty for the only arm.
         tls: context that trusts a certificate of your own: ``ssl.create_default_context(cafile="arm.pem")``.
         on_disconnect: ``stop`` ends the motions of this program when its connection ends, ``finish`` lets them go on.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import ssl
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from types import TracebackType
@@ -70,6 +71,7 @@ async def connect_async(
 
     To be used with ``async with await connect_async() as arm``; arguments and errors are `armbridge_client.connect`'s.
     """
+    token = os.environ.get("ARMBRIDGE_TOKEN") if token is None else token
     connection = Connection(Address(url, token, tls, on_disconnect, timeout_s))
     await connection.open()
     try:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import concurrent.futures
+import os
 import signal
 import threading
-from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -46,7 +46,7 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 class Bridge(Node):
     """An armbridge server as a robot of the ROS graph.
 
-    Parameters of the node: ``url`` (``ws://127.0.0.1:9090``) and ``token_file``.
+    Parameter of the node: ``url`` (``ws://127.0.0.1:9090``). A token is read from the environment: ARMBRIDGE_TOKEN.
     """
 
     def __init__(self) -> None:
@@ -54,12 +54,10 @@ class Bridge(Node):
         # Read once: a node that took another value later would go on with the first.
         fixed = ParameterDescriptor(read_only=True)
         url: str = self.declare_parameter("url", "ws://127.0.0.1:9090", fixed).value
-        token_file: str = self.declare_parameter("token_file", "", fixed).value
-        token = Path(token_file).read_text().strip() if token_file else ""
         self._from_server: dict[str, Any] = {}
         self._action_servers: list[ActionServer[Any, Any, Any]] = []
         self._left_out: dict[str, list[str]] = {}
-        self._connection = Server(url, token, self._on_message, self._report)
+        self._connection = Server(url, os.environ.get("ARMBRIDGE_TOKEN", ""), self._on_message, self._report)
         # One after the other: of a goal and a stop that wait together the stop, the last of the list, goes last.
         self._in_order = MutuallyExclusiveCallbackGroup()
         self._objects_in_order = MutuallyExclusiveCallbackGroup()

@@ -153,6 +153,17 @@ def test_a_token_that_is_missing_or_wrong(guarded: RunningServer, token: str | N
         connect(guarded.url, token=token)
 
 
+def test_the_token_of_the_environment_is_sent_unless_another_is_passed(
+    guarded: RunningServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ARMBRIDGE_TOKEN", "v" * 24)
+    for token, role in ((None, "view"), ("o" * 24, "operate")):
+        with connect(guarded.url, token=token) as arm:
+            assert arm.server.role == role
+    with pytest.raises(NotAuthenticated):
+        connect(guarded.url, token="")
+
+
 def test_a_viewers_token_shows_and_stops_but_moves_nothing(guarded: RunningServer) -> None:
     with connect(guarded.url, token="v" * 24) as viewer:
         assert viewer.server.role == "view"

@@ -71,10 +71,23 @@ def be_patient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("robot.arm.SILENT_HEARTBEATS", round(TIMEOUT_S / HEARTBEAT_S))
 
 
-async def test_a_process_in_place_of_another_knows_the_last_stop(rig: ArmOnServos) -> None:
+@pytest.mark.parametrize("when", ["before", "unseen", "after"])
+async def test_a_process_in_place_of_another_knows_the_last_stop(rig: ArmOnServos, when: str) -> None:
     before = STOP_EPOCHS.present
-    rig.arm.stop()
-    await replaced(rig)
+    assert not rig.arm.state.stopped
+    if when == "unseen":
+        rig.kill(signal.SIGSTOP)
+    if when != "after":
+        rig.arm.stop()
+    if when == "before":
+        await until(lambda: rig.arm.state.stopped)
+    killed = rig.arm.pid
+    rig.kill()
+    if when == "after":
+        await until(lambda: rig.arm.state.mode is Mode.DISCONNECTED)
+        rig.arm.stop()
+    await until(lambda: rig.arm.pid != killed and rig.arm.state.mode is Mode.HOLDING)
+    assert rig.arm.state.stopped
     # Past the check of the handle itself.
     rig.arm.last_stop = 0
     assert (await asyncio.wait_for(rig.arm.execute(to(0.3), epoch=before), TIMEOUT_S)).outcome is Outcome.STOPPED

@@ -252,6 +252,18 @@ def test_an_arm_that_was_stopped_and_asked_for_nothing_since_holds_without_its_s
     assert (distance_to_rest(rig) < SINK_RAD) == parks
 
 
+@pytest.mark.parametrize("stopped", [True, False])
+def test_an_arm_process_in_place_of_another_that_was_stopped_holds_without_its_server(stopped: bool) -> None:
+    emulator = ArmRig().started().emulator
+    settings = {"on_server_lost": EndState.PARK, "start_enabled": False, "last_stop": 2, "stopped": stopped}
+    rig = ArmRig(emulator, **settings)
+    rig.until_mode(Mode.HOLDING)
+    rig.supervisor.handle(KeepParking(way_to_rest()))
+    lose_server(rig)
+    until_ended(rig)
+    assert rig.torque() == [int(stopped)] * 6
+
+
 def test_an_arm_that_holds_after_an_emergency_stop_holds_without_its_server() -> None:
     rig = ArmRig(on_server_lost=EndState.PARK, on_emergency_stop=EmergencyPolicy.HOLD).started()
     rig.supervisor.handle(Command(1, Order.EMERGENCY_STOP, epoch=2))

@@ -201,6 +201,35 @@ def test_an_arm_that_is_being_enabled_can_be_relaxed(start_rig: Start) -> None:
     assert (rig.mode, rig.torque()) == (Mode.RELAXED, [0] * 6)
 
 
+def test_a_stop_during_its_start_or_while_it_is_enabled_leaves_an_arm_relaxed(emulator: SteppedEmulator) -> None:
+    rig = ArmRig(emulator)
+    rig.run(0.02)
+    assert rig.mode is Mode.CONNECTED
+    rig.supervisor.handle(Stop(epoch=2))
+    rig.until_mode(Mode.RELAXED)
+    rig = ArmRig(emulator)
+    rig.supervisor.disconnect(LOST)
+    rig.supervisor.handle(Stop(epoch=2))
+    rig.connect()
+    rig.until_mode(Mode.RELAXED)
+    # Until torque rises.
+    for at_s in (0.0, 0.1, 0.3, 0.5):
+        rig.supervisor.handle(Command(enabling := round(100 + 10 * at_s), Order.ENABLE, epoch=100))
+        rig.run(at_s)
+        rig.supervisor.handle(Stop(epoch=3 + round(10 * at_s)))
+        assert rig.answer(enabling).message == "given up for another order: relaxing after a stop"
+        assert rig.order(Order.RELAX).done
+        assert (rig.mode, rig.torque()) == (Mode.RELAXED, [0] * 6), at_s
+
+
+def test_a_stop_does_not_break_off_relaxing(rig: ArmRig) -> None:
+    number = rig.begin(Order.RELAX)
+    rig.run(0.5)
+    rig.supervisor.handle(Stop(epoch=2))
+    assert rig.wait(number).done
+    assert (rig.mode, rig.torque()) == (Mode.RELAXED, [0] * 6)
+
+
 def test_an_arm_that_is_being_relaxed_sinks_no_faster_when_it_is_asked_for_again(rig: ArmRig) -> None:
     number = rig.begin(Order.RELAX)
     rig.run(0.5)

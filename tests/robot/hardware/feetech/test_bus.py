@@ -1,4 +1,5 @@
 import contextlib
+import itertools
 import random
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -148,6 +149,16 @@ def test_replies_keep_their_error_byte_and_may_stop_for_as_long_as_usb_does():
     assert list(read_telemetry(ScriptedPort(replying(1.5 * QUIET_S)).open_bus())) == [1]
 
 
+@pytest.mark.parametrize("latency_s", [LOCAL_LATENCY_S, 0.2])
+def test_a_broadcast_ping_waits_for_the_turns_of_254_servos_and_no_longer(latency_s):
+    replies = ((0.0, b"noise"), (0.7615, FEETECH.status_packet(253, 4)), (0.7635, FEETECH.status_packet(252, 0)))
+    line = ScriptedPort(lambda _instruction: [(at_s + latency_s * (at_s > 0.0), data) for at_s, data in replies])
+    line.latency_s = latency_s
+    bus = line.open_bus()
+    assert bus.broadcast_ping() == {253: 4}
+    assert (bus.counters.replies, bus.counters.discarded_bytes) == (1, len(b"noise"))
+
+
 def test_a_silent_line_is_asked_three_times_and_then_reported():
     line = ScriptedPort(lambda _instruction: [])
     started_s = line.clock()
@@ -291,6 +302,8 @@ def test_replies_all_arrive_with_their_error_byte_whether_or_not_noise_precedes_
 def test_only_whole_replies_in_their_turn_are_believed():
     for name, (stream, believed) in STREAMS.items():
         assert list(frames_of(stream)) == believed, name
+    swapped = parse_status_frames(b"".join(reply(servo) for servo in (1, 2, 4, 3)), (1, 2, 3, 4), LENGTH)
+    assert list(swapped) == [1, 2], "either of the last two may have a disturbed id"
 
 
 def test_a_cut_reply_whose_checksum_fits_by_chance_does_not_swallow_its_neighbour():
@@ -311,6 +324,8 @@ def reply(servo_id, data=None):
 
 
 HOLDING = (b"\xff\xff" + bytes([2, LENGTH + 2])).ljust(LENGTH, b"\0")
+HOLDING_NONE = (b"\xff\xff" + bytes([9, LENGTH + 2])).ljust(LENGTH, b"\0")
+HOLDING_SHORTER = (b"\xff\xff" + bytes([2, LENGTH + 1])).ljust(LENGTH, b"\0")
 LYING = bytes([1, LENGTH + 3, 0]) + bytes(LENGTH)
 STREAMS = {
     **{f"only {count} bytes of a reply": (reply(1)[:count], []) for count in range(len(reply(1)))},
@@ -320,6 +335,8 @@ STREAMS = {
     "servo 1 as 3, and 3 itself unheard": (reply(3, bytes([1] * LENGTH)) + reply(2), []),
     "one missing between": (reply(1) + reply(3), [1, 3]),
     "the start of another": (reply(1, HOLDING) + reply(2) + reply(3), [2, 3]),
+    "two bytes as a header's": (reply(1, HOLDING_NONE) + reply(2), [1, 2]),
+    "a header of a shorter reply": (reply(1, HOLDING_SHORTER) + reply(2), [1, 2]),
     "a lie about its length": (b"\xff\xff" + LYING + bytes([checksum(LYING)]), []),
     **{f"noise like {count} bytes of one": (b"\xff\xff\x01\x11\x00"[:count] + reply(2), [2]) for count in range(1, 6)},
 }
@@ -336,6 +353,12 @@ def test_an_instruction_is_laid_out_as_the_servos_read_it_and_none_is_longer_tha
     assert len(instruction_packet(1, 3, bytes(longest))) == MAX_INSTRUCTION_BYTES
     with pytest.raises(ValueError, match=f"at most {longest} bytes"):
         instruction_packet(1, 3, bytes(longest + 1))
+
+
+def test_no_register_overlaps_another():
+    assert len(Register) == len(Register.__members__)
+    for register, following in itertools.pairwise(sorted(Register)):
+        assert register + register.size <= following, register
 
 
 def test_the_sign_stands_in_each_registers_own_bit_and_every_documented_status_bit_is_named():

@@ -13,7 +13,7 @@ from robot.calibration import Calibration
 from robot.commissioning.scan import scan
 from robot.description.robot_file import ProfileTable
 from robot.errors import DescriptionError, RobotError, StartupError
-from robot.faults import ServoAlert
+from robot.faults import FaultCode, ServoAlert
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech, differences, read_differences, write_to_servos
 from robot.hardware.feetech.profiles import FACTORY, LEROBOT, ServoProfile, nearest_profile, profile_of
@@ -101,7 +101,15 @@ def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: Stepped
     assert found.bounds.upper_rad[1:] == pytest.approx(BOUNDS.upper_rad[1:])
     for register in (Register.MIN_ANGLE_LIMIT, Register.MAX_ANGLE_LIMIT):
         bus.write(1, register, 0)
-    assert FeetechsInUse(emulator).found.bounds.upper_rad == pytest.approx(BOUNDS.upper_rad)
+    servos = FeetechsInUse(emulator)
+    assert servos.found.bounds.upper_rad == pytest.approx(BOUNDS.upper_rad)
+    # Limits of 0 are none: its goal is not clamped to them.
+    assert servos.enable() == pytest.approx(servos.read().position_rad, abs=0.01)
+
+
+def test_each_servo_has_a_supply_limit_of_its_own(emulator: SteppedEmulator) -> None:
+    emulator.open_bus().write(2, Register.MAX_VOLTAGE, 74)
+    assert FeetechsInUse(emulator).found.max_voltage_v == pytest.approx([8.0, 7.4, 8.0, 8.0, 8.0, 8.0])
 
 
 def test_a_servo_is_asked_for_no_more_than_it_is_set_to_give(emulator: SteppedEmulator) -> None:
@@ -118,12 +126,15 @@ def test_torque_limits_that_servos_have_lost_are_written_again(emulator: Stepped
     servos = FeetechsInUse(emulator)
     servos.enable()
     servos.hardware.write_torque_shares(servos.hardware.full_torque)
-    for servo in emulator.servo_bus.servos:
-        servo.write(Register.TORQUE_LIMIT, Register.TORQUE_LIMIT.encode(200))
-    for _ in range(len(IDS) * len(FAMILY.read_back) * CYCLES_BETWEEN):
-        assert servos.hardware.check(0.0) is None
-    servos.hardware.write_torque_shares(servos.hardware.full_torque)
-    assert [servo.value(Register.TORQUE_LIMIT) for servo in emulator.servo_bus.servos] == [800] * 5 + [500]
+    for lost_to, rebooted in ((200, False), (1000, True)):
+        for servo in emulator.servo_bus.servos:
+            servo.write(Register.TORQUE_LIMIT, Register.TORQUE_LIMIT.encode(lost_to))
+        faults = [servos.hardware.check(0.0) for _ in range(len(IDS) * len(FAMILY.read_back) * CYCLES_BETWEEN)]
+        codes = [fault.code for fault in faults if fault is not None]
+        # The limit of a servo after power-up.
+        assert codes == [FaultCode.SERVO_REBOOTED] * len(IDS) * rebooted
+        servos.hardware.write_torque_shares(servos.hardware.full_torque)
+        assert [servo.value(Register.TORQUE_LIMIT) for servo in emulator.servo_bus.servos] == [800] * 5 + [500]
 
 
 def test_a_servo_that_would_clamp_its_goal_is_not_switched_on_and_a_stuck_overload_needs_a_power_cycle(
@@ -165,7 +176,15 @@ REGISTERS = (Register.HOMING_OFFSET, Register.MIN_ANGLE_LIMIT, Register.MAX_ANGL
 
 # Two servos, so that one is done or not begun while the other is written.
 CHANGED = (2, 3)
-WANTED = recalibrated(*CHANGED, homing_offset=-25, range_min=940, range_max=3130)
+VALUES = {2: (-25, 940, 3130), 3: (-31, 951, 3142)}
+WANTED = Calibration(
+    tuple(
+        replace(joint, **dict(zip(("homing_offset", "range_min", "range_max"), VALUES[joint.servo_id], strict=True)))
+        if joint.servo_id in VALUES
+        else joint
+        for joint in nominal_calibration().joints
+    )
+)
 
 # MAX_ANGLE_LIMIT stays as it is, so nothing names or writes it.
 ELBOW_CHANGED = recalibrated(3, homing_offset=-12, range_min=950)
@@ -196,15 +215,33 @@ def interrupted(at_step, loss):
 
 @pytest.mark.parametrize("loss", [{"offline": IDS}, {"plugged": False}])
 def test_a_write_that_is_interrupted_at_any_step_leaves_no_new_offset_with_old_limits(loss):
-    wanted = {each.servo_id: (each.homing_offset, each.range_min, each.range_max) for each in WANTED.joints}
     for at_step in itertools.count(1):
         found = interrupted(at_step, loss)
         if found is None:
             break
         bus, before = found
         for servo, held in calibrated_registers_of(bus, CHANGED).items():
-            assert held[0] == before[servo][0] or held == wanted[servo], (at_step, servo, held)
+            assert held[0] == before[servo][0] or held == VALUES[servo], (at_step, servo, held)
     assert at_step > len(CHANGED) * len(REGISTERS)
+
+
+def test_a_write_that_is_given_up_at_any_step_is_undone_unless_the_servo_has_taken_all():
+    locked = 0
+    for at_step in itertools.count(1):
+        bus = SteppedEmulator(wire_time=False).open_bus()
+        before = calibrated_registers_of(bus, CHANGED)
+        steps = write_to_servos(bus, run(read_differences(bus, WANTED)))
+        if len(list(itertools.islice(steps, at_step))) < at_step:
+            break
+        written = calibrated_registers_of(bus, CHANGED)
+        steps.close()
+        for servo, held in calibrated_registers_of(bus, CHANGED).items():
+            # The offset is written last.
+            whole = written[servo][0] == VALUES[servo][0]
+            assert held == (VALUES if whole else before)[servo], at_step
+            assert bus.read(servo, Register.LOCK) == 1, at_step
+            locked += held != written[servo]
+    assert locked > len(REGISTERS)
 
 
 def test_only_what_differs_is_written_and_it_outlives_a_power_cut(start_emulator, write_log):

@@ -84,10 +84,13 @@ class StartError(ServerError):
 
 
 # Of values whose kind pydantic calls by the name of a Python type.
+_TABLE = "must be a table, as in { name = value }"
 _KINDS = {
     "tuple_type": 'must be a list, as in ["first", "second"]',
-    "dict_type": "must be a table, as in { name = value }",
+    "dict_type": _TABLE,
+    "model_type": _TABLE,
     "string_type": "must be a text, in quotes",
+    "missing": "is missing",
 }
 
 

@@ -158,11 +158,9 @@ def import_robot(options: ImportOptions, say: Callable[[str], None]) -> list[str
 
 
 def _check_target(out: Path, overwrite: bool) -> None:
-    if not out.exists():
-        return
-    if not overwrite:
+    if out.exists() and not overwrite:
         raise AssistantError(f"{out} is there already: give another folder by --out, or --overwrite to replace it")
-    if not (out / robot_file.FILE_NAME).is_file():
+    if out.exists() and not (out / robot_file.FILE_NAME).is_file():
         raise AssistantError(
             f"{out} has no {robot_file.FILE_NAME}, so it is no robot folder and is not replaced: give another --out"
         )
@@ -306,14 +304,13 @@ class _Import:
             raise AssistantError(f"the folder that was made cannot be used: {'; '.join(problems)}")
         robot = robot_folder.load(self._folder).model
         planner = Planner(robot)
-        names = robot.groups[ARM].joints
         refusal = "links touch in all of them"
         for attempt in range(PROOF_TRIES):
             goal_state, free = free_state(contacts, draft.unchecked, (), HOME_TRIES, self._options.seed + attempt)
             if not free:
                 break
             drawn = dict(zip(contacts.joint_names, goal_state.tolist(), strict=True))
-            goal = JointGoal({name: drawn[name] for name in names})
+            goal = JointGoal({name: drawn[name] for name in robot.groups[ARM].joints})
             answer = planner.plan(PlanningProblem(ARM, draft.home, goal, seed=self._options.seed))
             if isinstance(answer, Plan):
                 return [f"checked: loads, and a motion of {answer.trajectory.duration_s:.1f} s from home is planned"]

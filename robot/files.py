@@ -63,7 +63,7 @@ class FileLock:
 
 @contextlib.contextmanager
 def locked(path: Path, timeout_s: float | None = None) -> Iterator[None]:
-    """Hold the lock of a file; raises FileLockedError after a wait, of :data:`LOCK_TIMEOUT_S` without a time of its own."""
+    """Hold the lock of a file; raises FileLockedError after a wait, without a time after :data:`LOCK_TIMEOUT_S`."""
     lock = FileLock(path)
     lock.acquire(LOCK_TIMEOUT_S if timeout_s is None else timeout_s)
     try:

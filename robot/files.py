@@ -62,10 +62,10 @@ class FileLock:
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Hold the lock of a file while it is read and replaced; raises FileLockedError after :data:`LOCK_TIMEOUT_S`."""
+def locked(path: Path, timeout_s: float | None = None) -> Iterator[None]:
+    """Hold the lock of a file; raises FileLockedError after a wait, without a time after :data:`LOCK_TIMEOUT_S`."""
     lock = FileLock(path)
-    lock.acquire(LOCK_TIMEOUT_S)
+    lock.acquire(LOCK_TIMEOUT_S if timeout_s is None else timeout_s)
     try:
         yield
     finally:

@@ -264,7 +264,7 @@ QUESTIONS = 2
 def run_classroom(settings: Settings, count: int, planners: int, folder: Path, with_physics: Collection[str]) -> None:
     """Run a classroom of ``count`` students until a signal; some, by their names, have physics.
 
-    Raises ConfigurationError for settings, StartError for a port or the folder.
+    Raises ConfigurationError for settings, StartError for a port or the folder, FileLockedError for a folder in use.
     """
     _check_settings(settings)
     description = Description.read(settings.arm)
@@ -290,10 +290,11 @@ def run_classroom(settings: Settings, count: int, planners: int, folder: Path, w
     ]
     _check_ports(host, students)
     _make_folders(folder, students)
-    write_list(file, students, teacher_token, host, tls=settings.server.tls_certificate is not None)
-    first, last = students[0].port, students[-1].port
-    log.info("%d arms on ports %d to %d; names, addresses and tokens are in %s", len(students), first, last, file)
-    with tempfile.TemporaryDirectory(prefix="armbridge") as private:
+    # A second classroom with this folder would replace the list, and share the students' files.
+    with files.locked(file, 0.0), tempfile.TemporaryDirectory(prefix="armbridge") as private:
+        write_list(file, students, teacher_token, host, tls=settings.server.tls_certificate is not None)
+        first, last = students[0].port, students[-1].port
+        log.info("%d arms on ports %d to %d; names, addresses and tokens are in %s", len(students), first, last, file)
         inherited = Inherited(description, Path(private) / "planners")
 
         def serve_planners() -> None:

@@ -142,7 +142,8 @@ def flattened(values: Mapping[str, Any], tables: frozenset[str], above: str = ""
 def read_toml(file: Path, kind: str) -> dict[str, Any]:
     """Return the contents of a file, or raise ConfigurationError that begins with its kind."""
     try:
-        return tomllib.loads(file.read_text())
+        # Editors of Windows put a byte order mark before the first line.
+        return tomllib.loads(file.read_text("utf-8-sig"))
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{kind} {file} cannot be read: {error}") from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:

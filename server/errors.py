@@ -83,6 +83,18 @@ class StartError(ServerError):
     """A part of the server that cannot start."""
 
 
+# Of values whose kind pydantic calls by the name of a Python type.
+_TABLE = "must be a table, as in { name = value }"
+_KINDS = {
+    "tuple_type": 'must be a list, as in ["first", "second"]',
+    "dict_type": _TABLE,
+    "model_type": _TABLE,
+    "string_type": "must be a text, in quotes",
+    "missing": "is missing",
+}
+
+
 def sentence_of(flaw: Mapping[str, Any]) -> str:
     """Return the sentence of one of ``ValidationError.errors()``; a validator's own sentence as it stands."""
-    return str(flaw["msg"]).removeprefix("Value error, ")
+    sentence = str(flaw["msg"]).removeprefix("Value error, ").replace("Input should be", "must be", 1)
+    return _KINDS.get(flaw["type"], sentence)

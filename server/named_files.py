@@ -31,6 +31,8 @@ def read_json(path: Path, max_bytes: int) -> Any:
         raise ValueError(f"it has more than {max_bytes} bytes")
     try:
         return json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"it is no JSON: {error}") from error
     except RecursionError as error:
         raise ValueError("it nests too deep") from error
 

@@ -150,6 +150,7 @@ class _Search:
     def _cut(self, target_m: float) -> list[ConvexPart]:
         done: list[ConvexPart] = []
         waiting: list[tuple[float, int, Vector, ConvexPart]] = []
+        order = itertools.count()  # parts that stand out as far as each other cannot be compared
 
         def add(corners_m: Vector) -> None:
             part = ConvexPart(corners_m.reshape(-1, 3))
@@ -157,7 +158,7 @@ class _Search:
             if out_m <= target_m:
                 done.append(part)
             else:
-                heapq.heappush(waiting, (-out_m, len(done) + len(waiting), corners_m, part))
+                heapq.heappush(waiting, (-out_m, next(order), corners_m, part))
 
         for piece in self._pieces:
             add(piece)

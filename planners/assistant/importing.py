@@ -158,11 +158,9 @@ def import_robot(options: ImportOptions, say: Callable[[str], None]) -> list[str
 
 
 def _check_target(out: Path, overwrite: bool) -> None:
-    if not out.exists():
-        return
-    if not overwrite:
+    if out.exists() and not overwrite:
         raise AssistantError(f"{out} is there already: give another folder by --out, or --overwrite to replace it")
-    if not (out / robot_file.FILE_NAME).is_file():
+    if out.exists() and not (out / robot_file.FILE_NAME).is_file():
         raise AssistantError(
             f"{out} has no {robot_file.FILE_NAME}, so it is no robot folder and is not replaced: give another --out"
         )
@@ -179,11 +177,11 @@ class _Import:
         options, folder, say = self._options, self._folder, self._say
         root = parse_urdf(options.urdf)
         name = _file_name(root.get("name", options.urdf.stem))
+        robot = self._parse(root)
         count = copy_meshes(root, options.urdf, options.packages, folder)
         urdf_name, srdf_name = f"{name}.urdf", f"{name}.srdf"
         (folder / urdf_name).write_text(ET.tostring(root, encoding="unicode"), encoding="utf-8")
         say(f"{options.urdf}: {len(root.findall('link'))} links, {count} meshes")
-        robot = self._parse(root, urdf_name)
         shapes = link_shapes(robot)
         seen = [link.get("name", "") for link in root.iterfind("link") if link.find("visual") is not None]
         bare = ", ".join(link for link in seen if link not in shapes)
@@ -217,22 +215,23 @@ class _Import:
             written.append(f"{PICTURE}: the meshes beside the parts")
         return [*written, *self._prove(draft, contacts), *self._notes]
 
-    def _parse(self, root: ET.Element, urdf_name: str) -> RobotModel:
-        """Read the URDF with a provisional SRDF: one group of all joints."""
+    def _parse(self, root: ET.Element) -> RobotModel:
+        """Read the URDF with a provisional SRDF: one group of all joints. Errors name the user's own files."""
         joints = [joint for joint in root.iterfind("joint") if joint.get("type") in MOVABLE_TYPES]
         own = [joint.get("name", "") for joint in joints if joint.find("mimic") is None]
         if not own:
-            raise AssistantError(f"{self._options.urdf} has no joint that moves: an arm has some of type revolute")
+            raise AssistantError(f"{self._options.urdf} has no joint of a type that moves: {', '.join(MOVABLE_TYPES)}")
         group = ET.Element("robot", name=root.get("name", "robot"))
         element = ET.SubElement(group, "group", name=ARM)
         for name in own:
             ET.SubElement(element, "joint", name=name)
-        provisional = self._folder / "provisional.srdf"
-        provisional.write_text(ET.tostring(group, encoding="unicode"), encoding="utf-8")
-        try:
-            return model.load(self._folder / urdf_name, provisional)
-        finally:
-            provisional.unlink()
+        return model.parse(
+            ET.tostring(root, encoding="unicode"),
+            ET.tostring(group, encoding="unicode"),
+            mesh_directory=self._options.urdf.resolve().parent,
+            package_directories=self._options.packages,
+            sources=(f"URDF {self._options.urdf}", "SRDF draft"),
+        )
 
     def _convex(self, shapes: Mapping[str, list[LinkShape]]) -> dict[str, LinkParts]:
         links: dict[str, LinkParts] = {}
@@ -305,14 +304,13 @@ class _Import:
             raise AssistantError(f"the folder that was made cannot be used: {'; '.join(problems)}")
         robot = robot_folder.load(self._folder).model
         planner = Planner(robot)
-        names = robot.groups[ARM].joints
         refusal = "links touch in all of them"
         for attempt in range(PROOF_TRIES):
             goal_state, free = free_state(contacts, draft.unchecked, (), HOME_TRIES, self._options.seed + attempt)
             if not free:
                 break
             drawn = dict(zip(contacts.joint_names, goal_state.tolist(), strict=True))
-            goal = JointGoal({name: drawn[name] for name in names})
+            goal = JointGoal({name: drawn[name] for name in robot.groups[ARM].joints})
             answer = planner.plan(PlanningProblem(ARM, draft.home, goal, seed=self._options.seed))
             if isinstance(answer, Plan):
                 return [f"checked: loads, and a motion of {answer.trajectory.duration_s:.1f} s from home is planned"]

@@ -157,8 +157,8 @@ def urdf_shapes(robot: RobotModel, model: pin.Model) -> list[pin.GeometryObject]
         urdf = with_mesh_paths(plain_urdf(robot), robot.mesh_directory, robot.package_directories)
         geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.COLLISION)
     except (DescriptionError, ValueError, RuntimeError) as error:
-        # coal's text names its own file and line first.
-        reason = " ".join(str(error).rpartition("message: ")[2].split())
+        # coal's text names its own file and line first; its hint about directories is wrong: the file was found.
+        reason = " ".join(str(error).rpartition("message: ")[2].partition("Hint:")[0].split())
         raise ShapeError(robot.name, f"cannot be loaded: {reason}") from error
     shapes = list(geometry.geometryObjects)
     for shape in shapes:

@@ -181,7 +181,7 @@ def read_urdf(text: str, source: str, limits: Mapping[str, JointLimits]) -> Tree
         *others, last = MOVABLE_TYPES
         raise DescriptionError(source, f"has no movable joint: no <joint> has the type {', '.join(others)} or {last}")
     joints = {name: _with_leader(joint, joints, source) for name, joint in joints.items()}
-    return Tree(robot.get("name", "robot"), _links_from_root(robot, joints, source), joints)
+    return Tree(attribute(robot, "name", source), _links_from_root(robot, joints, source), joints)
 
 
 def _check_numbers(robot: ET.Element, source: str) -> None:
@@ -191,7 +191,10 @@ def _check_numbers(robot: ET.Element, source: str) -> None:
         for element in itertools.chain.from_iterable(each.iter() for each in read):
             for name, count in NUMBERS.get(element.tag, {}).items():
                 if element.get(name) is not None:
-                    _numbers(element, name, count, f"{source} {part.tag} {part.get('name')!r} <{element.tag}>")
+                    where = f"{source} {part.tag} {part.get('name')!r} <{element.tag}>"
+                    values = _numbers(element, name, count, where)
+                    if element.tag == "axis" and not any(values):
+                        raise DescriptionError(where, "xyz must not be 0 0 0, which is no direction")
 
 
 def _joint(element: ET.Element, source: str, limits: Mapping[str, JointLimits]) -> Joint:
@@ -283,6 +286,8 @@ def _with_leader(joint: Joint, joints: Mapping[str, Joint], source: str) -> Join
 def _links_from_root(robot: ET.Element, joints: Mapping[str, Joint], source: str) -> tuple[str, ...]:
     """Return the link names, root first, parents before children, each branch as a whole."""
     names = [attribute(link, "name", source) for link in robot.iterfind("link")]
+    if twice := next((name for name in names if names.count(name) > 1), ""):
+        raise DescriptionError(source, f"has two links of the name {twice!r}: rename one")
     carried: dict[str, list[str]] = {name: [] for name in names}
     parent_of: dict[str, str] = {}
     for joint in joints.values():
@@ -332,8 +337,7 @@ def unit_axis(element: ET.Element) -> Vector:
     """Return the axis of a URDF <joint>: a unit vector, shape (3,), along x where the joint has none."""
     axis = element.find("axis")
     values = np.array([float(v) for v in axis.get("xyz", "1 0 0").split()]) if axis is not None else np.eye(3)[0]
-    length = float(np.linalg.norm(values))
-    return values / length if length > 0.0 else np.eye(3)[0]
+    return values / np.linalg.norm(values)
 
 
 def origin_transform(element: ET.Element) -> Vector:

@@ -1,6 +1,8 @@
 """Arms of one server: their files and their processes. One arm is the case of n = 1, whose name is empty."""
 
 import functools
+import itertools
+import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -21,6 +23,8 @@ from server.config import ArmRole, ArmSettings, NamedArmSettings, Settings
 from server.errors import ConfigurationError
 from server.graph.topics import Graph
 from server.lifecycle import Feature
+
+log = logging.getLogger("armbridge.arm")
 
 # Name of the robot that several arms are together, which is in the names of the files that the server keeps of it.
 SEVERAL = "arms"
@@ -65,6 +69,11 @@ def read_arms(settings: Settings, alone: Description | None = None) -> dict[str,
             arms[name] = _read(name, own, settings)
         except (ConfigurationError, RobotError) as error:
             raise ConfigurationError(f"arms.{name}: {error}") from error
+    for (name, one), (other, two) in itertools.combinations(settings.arms.items(), 2):
+        if one.base_xyz_m == two.base_xyz_m:
+            log.warning(
+                "arms.%s and arms.%s stand in each other: set base_xyz_m, or their goals are refused", name, other
+            )
     return arms
 
 

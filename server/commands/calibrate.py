@@ -135,9 +135,9 @@ class _Conversation:
             try:
                 act = session.answer(self._answer(step))
             except CalibrationError as error:
-                terminal.say(str(error))
                 if not session.ranges() or session.step is None:
                     raise
+                terminal.say(str(error))
                 continue
             if act is Act.RELAX:
                 if relax_arm(self.bus, session.servos, terminal) is not ExitCode.DONE:

@@ -275,7 +275,7 @@ def overrides(options: argparse.Namespace) -> dict[str, Any]:
     given = vars(options)
     for text in given.get("assignments", ()):
         key, equals, value = text.partition("=")
-        if not equals:
+        if not equals or not key.strip():
             raise ConfigurationError(f"--set {_key(text)}: must be KEY=VALUE, as in --set server.port=9191")
         _put(values, key.strip().split("."), _value(key, value.strip()))
     for key, chosen in given.items():
@@ -299,8 +299,8 @@ def _key(text: str) -> str:
 
 
 def _value(key: str, value: str) -> Any:
-    """Tables and lists as TOML has them; the type of everything else is the setting's."""
-    if not value.startswith(("{", "[")):
+    """Tables, lists and texts in quotes as TOML has them; the type of everything else is the setting's."""
+    if not value.startswith(("{", "[", '"', "'")):
         return value
     try:
         return tomllib.loads(f"value = {value}")["value"]

@@ -1,10 +1,12 @@
 """Commands on descriptions of arms: ``armbridge robot check``, ``robot list`` and ``robot import``."""
 
 import argparse
+import os
 from pathlib import Path
 
 from planners.errors import PlannerError
 from robot.description import robot_folder
+from robot.description.meshes import package_path
 from robot.description.robot_folder import RobotFolder
 from robot.errors import DescriptionError
 from robot.hardware.feetech.profiles import profile_of
@@ -133,7 +135,7 @@ def _import(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         chosen = importing.ImportOptions(
             urdf=options.urdf,
             out=out,
-            packages=tuple(options.package_path),
+            packages=(*options.package_path, *package_path(os.environ)),
             base=options.base,
             tip=options.tip,
             samples=options.samples,

@@ -64,8 +64,7 @@ def read_camera(robot: RobotModel, settings: Mapping[str, object]) -> Camera:
         return Camera.model_validate({**settings, "frame": frame})
     except ValidationError as error:
         flaw = error.errors(include_url=False)[0]
-    message = sentence_of(flaw).replace("Input should be", "must be")
-    raise CameraError(f"{flaw['loc'][0]}: {message}, not {flaw['input']}")
+    raise CameraError(f"{flaw['loc'][0]}: {sentence_of(flaw)}, not {flaw['input']}")
 
 
 @dataclass(frozen=True)

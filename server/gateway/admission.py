@@ -15,7 +15,7 @@ import socket
 import struct
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cached_property, partial
@@ -302,6 +302,8 @@ class AdmissionPolicy:
             refusal = self._foreign(request, host)
             if refusal is not None:
                 return refusal
+        if request.upgrade and (wrong := wrong_choice(parse_qs(request.path.partition("?")[2]))):
+            return self._refuse(HTTPStatus.BAD_REQUEST, "query", wrong, wrong)
         admitted = self._identity(request)
         if admitted is None and not request.upgrade and area in GUARDED:
             return _unauthorized(f"/{area} needs a token: in the header Authorization: Bearer ..., or as ?token=...")
@@ -392,6 +394,19 @@ def check_exposure(host: str, addresses: Iterable[str], tokens: Tokens, *, insec
             where,
             anonymous.role.name.lower(),
         )
+
+
+# Choices in the query of a client's URL.
+_CHOICES = {"ros": ("1", "2"), "on_disconnect": ("finish", "stop")}
+
+
+def wrong_choice(query: Mapping[str, Sequence[str]]) -> str:
+    """Return the sentence that refuses a query: a mistyped ``stop`` would let the arm go on. Empty for a right one."""
+    for name, values in _CHOICES.items():
+        for value in query.get(name, ()):
+            if value not in values:
+                return f"?{name}= must be {' or '.join(values)}, not {one_line(shorten(value))!r}"
+    return ""
 
 
 def _unauthorized(sentence: str) -> HttpResponse:

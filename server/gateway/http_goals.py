@@ -18,6 +18,7 @@ from protocol.operations import CallService, SendActionGoal
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Access, Authorizer, rule_of_action, rule_of_service
 from server.arrival import arrived_in, epoch_after
+from server.gateway.admission import wrong_choice
 from server.gateway.connection import goals_end_with_client
 from server.gateway.http import HttpResponse, PostedRequest
 from server.graph.actions import GoalStatus, Result
@@ -79,7 +80,9 @@ class HttpGoals:
                 answered.set_result(end)
 
         try:
-            timeout_s, operation = _timeout_s(posted), self._read(posted.body)
+            operation = self._read(posted.body)
+            # A stop is carried out whatever its query is.
+            timeout_s = DEFAULT_TIMEOUT_S if operation.args is None else _timeout_s(posted)
             with arrived_in(epoch_after(operation.after_stop, posted.epoch)):
                 self._send(operation, node, authorizer, answer)
             # Of the stops since it asked, the sender knows its own alone.
@@ -155,6 +158,8 @@ class HttpGoals:
 
 
 def _timeout_s(posted: PostedRequest) -> float:
+    if wrong := wrong_choice(posted.query):
+        raise _RefusedError(wrong)
     text = posted.query.get("timeout", [str(DEFAULT_TIMEOUT_S)])[-1]
     try:
         timeout_s = float(text)

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from planners.problem import PLANNER_IDS, planner_name
 from planners.servo.question import ServoLimits
 from server.config_keys import SettingsSection
-from server.errors import ServiceError
+from server.errors import ServiceError, sentence_of
 
 # A planner process is occupied for as long.
 MAX_ALLOWED_PLANNING_TIME_S = 60.0
@@ -157,7 +157,7 @@ class MoveItParameters(SettingsSection):
             return MoveItParameters.model_validate({**self.model_dump(), **values})
         except ValidationError as error:
             flaw = error.errors()[0]
-            raise ValueError(f"{flaw['loc'][0]}: {flaw['msg']}, not {flaw['input']!r}") from error
+            raise ValueError(f"{flaw['loc'][0]}: {sentence_of(flaw)}, not {flaw['input']!r}") from error
 
 
 class PlannerParameters:

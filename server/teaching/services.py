@@ -121,7 +121,7 @@ class Teaching(Feature):
         self._state: ArmState | None = None
         self._closing, self._reading = False, asyncio.Lock()
         self._shown_at_s = 0.0
-        self._told = f"nothing is recorded: {BEGIN} begins"
+        self._told = f"{BEGIN} begins a recording"
         # The recording that is being made a motion.
         self._finishing: asyncio.Task[dict[str, Any]] | None = None
         self._node.advertise(STATE_TOPIC, "armbridge_msgs/TeachState", latch=True)

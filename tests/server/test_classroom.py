@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from harness.server import free_ports
+from robot import files
 from server.classroom import (
     LIST_FILE,
     TEACHER,
@@ -48,6 +49,13 @@ def test_students_by_name_have_physics_and_the_others_none(tmp_path: Path, monke
     monkeypatch.setattr(f"{module}.supervise", lambda members: [member.run() for member in members[1:]])
     run_classroom(Settings.model_validate({"server": {"port": free_ports(3)}}), 3, 2, tmp_path, ["student02"])
     assert served == ["light", "physics", "light"]
+
+
+def test_a_second_classroom_leaves_the_folder_of_a_running_one_alone(tmp_path: Path) -> None:
+    settings = Settings.model_validate({"server": {"port": free_ports(3)}})
+    with files.locked(tmp_path / LIST_FILE), pytest.raises(files.FileLockedError, match="is in use by armbridge"):
+        run_classroom(settings, 3, 2, tmp_path, [])
+    assert not (tmp_path / LIST_FILE).exists()
 
 
 TOKEN = "t" * 24

@@ -94,6 +94,11 @@ REFUSED = {
     '[access]\ntoken = "abc"': r"^access\.token: must have 16 .*, not 3 \(it is not shown",
     '[arm]\non_exit = "fall"': "arm.on_exit.*'fall'",
     "server: port": "not TOML",
+    "server = 3": r"server: must be a table, as in \{ name = value \} \(it is 3",
+    '[access]\ntopics_glob = "/arm/*"': r'topics_glob: must be a list, as in \["first", "second"\]',
+    "[arm]\nzero_offset_rad = 0.02": "zero_offset_rad: must be a table, as in",
+    "[arm]\nserial = 3": "arm.serial: must be a text, in quotes",
+    "[arms.left]\nbase_xyz_m = [0, 0.2]": r"arms.left.base_xyz_m.2: is missing \(it is \[0, 0.2\]",
 }
 
 
@@ -109,6 +114,11 @@ def test_every_wrong_setting_is_named_once_with_its_limit_and_value_and_no_token
     assert told.count("server.port") == told.count("server.max_clients") == 1
     assert "abc" not in told
     assert "it is not shown, from the file" in told
+
+
+def test_a_byte_order_mark_as_of_editors_of_windows_is_no_mistake(file: Path) -> None:
+    file.write_text("\ufeff[server]\nport = 1\n")
+    assert load(file, {}).server.port == 1
 
 
 def test_the_source_of_each_setting_is_known(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:

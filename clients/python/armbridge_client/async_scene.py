@@ -113,16 +113,11 @@ class AsyncScene:
             mass_kg: 0 for a mass by its volume.
             friction: coefficient of friction, 0 for the default.
         """
-        await self._connection.carry_out("/simulation/set_body", SetBodyRequest(name, True, mass_kg, friction))
+        await self._carry_out_in_physics("/simulation/set_body", SetBodyRequest(name, True, mass_kg, friction))
 
     async def reset_physics(self) -> None:
         """Restore the world of a simulated arm with physics, and remove all objects, also out of the fingers."""
-        try:
-            await self._connection.carry_out("/simulation/reset", TriggerRequest())
-        except RequestRefused as error:
-            if "does not exist" in error.sentence:
-                raise RequestRefused("this server has no physics: armbridge serve --simulation physics") from error
-            raise
+        await self._carry_out_in_physics("/simulation/reset", TriggerRequest())
         await self.clear()
 
     async def objects(self, timeout_s: float = CALL_TIMEOUT_S) -> dict[str, CollisionObject]:
@@ -152,6 +147,14 @@ class AsyncScene:
     async def saved(self) -> list[str]:
         """Return the names of the saved scenes."""
         return (await self._connection.call("/arm/scenes/list", ListScenesRequest())).names
+
+    async def _carry_out_in_physics(self, service: str, request: SetBodyRequest | TriggerRequest) -> None:
+        try:
+            await self._connection.carry_out(service, request)
+        except RequestRefused as error:
+            if "does not exist" in error.sentence:
+                raise RequestRefused("this server has no physics: armbridge serve --simulation physics") from error
+            raise
 
     async def _add(self, name: str, shape: SolidPrimitive, at: PoseStamped) -> None:
         await self._change_object(

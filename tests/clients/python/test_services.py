@@ -62,8 +62,9 @@ def test_a_change_that_is_refused_has_the_servers_sentence(arm: Arm) -> None:
 
 
 def test_a_server_without_physics_says_so(arm: Arm) -> None:
-    with pytest.raises(RequestRefused, match="this server has no physics"):
-        arm.scene.reset_physics()
+    for asked in (arm.scene.reset_physics, lambda: arm.scene.make_movable("crate")):
+        with pytest.raises(RequestRefused, match="this server has no physics"):
+            asked()
 
 
 def test_scenes_are_saved_and_loaded_by_name(in_empty_scene: Arm) -> None:

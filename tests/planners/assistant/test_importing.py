@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from planners.assistant.decomposition import Limits, decompose
+from planners.assistant.decomposition import Limits, Reference, decompose
 from planners.assistant.draft import Tree, find_structure
 from planners.assistant.importing import ImportOptions, default_folder, import_robot
 from planners.assistant.link_shapes import link_shapes, link_surfaces, shapes_in_link
@@ -142,6 +142,12 @@ def test_what_cannot_be_imported_is_refused_by_its_name_with_the_next_step(urdf,
         path.write_text(text)
         with pytest.raises(DescriptionError, match=f"{path} .*{re.escape(next_step)}"):
             import_robot(ImportOptions(path, tmp_path / "out"), silent)
+    path.write_text(URDF.replace('"revolute"', '"hinge"').replace('"prismatic"', '"slider"'))
+    with pytest.raises(AssistantError, match=f"{path} has no joint of a type that moves: revolute, "):
+        quickly(path, tmp_path / "out")
+    urdf.write_text(URDF.replace(' velocity="2"', "", 1))
+    with pytest.raises(DescriptionError, match=f"URDF {urdf} joint 'turn' has no velocity limit"):
+        quickly(urdf, tmp_path / "out")
 
 
 def structure_of(urdf: str, base=None, tip=None):
@@ -233,6 +239,11 @@ def test_a_convex_mesh_is_one_part_and_bounds_give_the_closest_parts_and_their_d
     found = decompose(surface(channel()), Limits(max_parts=1))
     assert len(found.parts) == 1
     assert found.deviation.outside_m == pytest.approx(0.016, abs=0.0005)
+
+
+def test_parts_that_stand_out_as_far_as_each_other_are_cut_one_after_the_other(monkeypatch) -> None:
+    monkeypatch.setattr(Reference, "stands_out_m", lambda *_: 1.0)
+    assert len(decompose(surface(channel()), Limits(max_parts=6)).parts) > 1
 
 
 # A post; a bar that turns beside it at half its reach; a flag fixed above the post that overlaps it; a far box.

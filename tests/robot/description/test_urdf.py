@@ -1,6 +1,7 @@
 """Files of a robot: URDF, its cameras, and SRDF."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -69,9 +70,12 @@ BROKEN_URDF = {
     "unknown leader": (HAND.replace('mimic joint="grip"', 'mimic joint="grap"'), "names the joint 'grap'"),
     "ring of mimics": (HAND.replace('mimic joint="grip"', 'mimic joint="last"'), "leads back to the joint itself"),
     "two of a name": (HAND.replace('name="other"', 'name="grip"'), "two joints of the name 'grip'"),
+    "two links of a name": (HAND.replace('name="tip"/>', 'name="palm"/>', 1), "two links of the name 'palm'"),
+    "no name": (re.sub('<robot name="[^"]*"', "<robot", HAND), "<robot> {} has no attribute 'name'"),
     "two parents": (HAND.replace('<child link="tip"/>', '<child link="left"/>'), "'left' is the child of two joints"),
     "unknown type": (HAND.replace('type="revolute"', 'type="hinge"'), "unknown type 'hinge'"),
     "letters": (HAND.replace("<limit", '<axis xyz="a b c"/><limit', 1), "'grip' <axis> xyz must be 3 finite numbers"),
+    "no direction": (HAND.replace("<limit", '<axis xyz="0 0 0"/><limit', 1), "<axis> xyz must not be 0 0 0"),
     "a number too few": (HAND.replace("<limit", '<origin rpy="0 0"/><limit', 1), "<origin> rpy must be 3 finite"),
     "an underscore": (HAND.replace('"0.2"', '"1_0"'), "velocity must be a finite number, not '1_0'"),
     "no end": (HAND.replace('"0.04"', '"1e308"'), "upper must be a finite number, not '1e308'"),

@@ -60,6 +60,13 @@ def test_arms_of_different_kinds_stand_in_one_description(tmp_path: Path) -> Non
     assert [joint.name for joint in whole.movable_joints] == [name for arm in arms.values() for name in arm.joint_names]
 
 
+def test_arms_without_a_place_of_their_own_are_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+    read_arms(settings(left={"base_xyz_m": (0.0, 0.3, 0.0)}, middle={}, right={}))
+    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
+        "arms.middle and arms.right stand in each other: set base_xyz_m, or their goals are refused"
+    ]
+
+
 def test_what_cannot_be_used_is_refused_with_the_name_of_the_arm() -> None:
     for arm, words in (
         ({"role": "leader", "serial": "/dev/nothing"}, "a leader needs a calibration"),

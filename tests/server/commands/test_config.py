@@ -74,6 +74,10 @@ def test_options_override_settings():
         (("--interfaces", "a_msgs", "--interfaces", "ws/src"), {"server": {"interfaces": ["a_msgs", "ws/src"]}}),
         # An option counts more than an assignment, which may be a table as TOML has it.
         (("--set", "server.port=1", "--port", "2"), {"server": {"port": "2"}}),
+        (
+            ("--set", 'goals.policy="reject"', "--set", "server.host='::1'"),
+            {"goals": {"policy": "reject"}, "server": {"host": "::1"}},
+        ),
         (("--set", "arm.zero_offset_rad={elbow_flex=0.02}"), {"arm": {"zero_offset_rad": {"elbow_flex": 0.02}}}),
     ):
         assert overrides(options(*arguments)) == settings
@@ -133,6 +137,7 @@ def test_a_refusal_does_not_show_what_may_be_a_token(assignment):
 def test_a_wrong_assignment_is_refused():
     for arguments, words in (
         (("--set", "server.port"), "--set server.port: must be KEY=VALUE"),
+        (("--set", "=3"), "--set : must be KEY=VALUE"),
         (("--set", "arm.zero_offset_rad={a"), "the value is not TOML"),
         (("--set", "server=1", "--set", "server.port=2"), "--set server.port: server has a value already"),
         (("--set", "server=1", "--port", "2"), "--set server.port: server has a value already"),

@@ -82,6 +82,8 @@ def test_an_import_says_what_it_made_and_how_to_serve_it(
     assert "next: armbridge serve --robot ./so101\n" in printed.out
     assert "50 of 50 states" in printed.err
     assert robot_folder.resolve("./so101").model.default_group == "arm"
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "packages"))
+    assert cli.main([*arguments, "--overwrite"]) == ExitCode.DONE
 
 
 def test_what_a_command_cannot_do_is_one_sentence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

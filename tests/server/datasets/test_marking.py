@@ -15,6 +15,7 @@ from server.datasets.lerobot import QUANTILES, ImageStatistics
 from server.datasets.marking import (
     DISCARD_SERVICE,
     MAX_WATCHED,
+    NOT_RECORDED,
     START_SERVICE,
     STATE,
     STATE_TYPE,
@@ -174,7 +175,7 @@ async def test_states_and_commands_are_subscribed_to_while_an_episode_is_recorde
     await marked.call(STOP_SERVICE)
     assert subscribed() == []
     marked.recording = False
-    nothing = "episode 2 has begun, but this server records nothing (armbridge serve --record FILE.mcap)"
+    nothing = f"episode 2 has begun, but {NOT_RECORDED}"
     assert await marked.call(START_SERVICE, task="") == (True, nothing)
     assert subscribed() == []
 

@@ -434,7 +434,7 @@ def test_what_is_wrong_with_a_file_or_a_file_that_is_none_has_a_sentence(tmp_pat
         read_world("cube", MESSAGE_TYPES)
     path = tmp_path / "broken.json"
     path.write_text("{")
-    with pytest.raises(ValueError, match="Expecting property name"):
+    with pytest.raises(ValueError, match="it is no JSON: Expecting property name"):
         read_world(str(path), MESSAGE_TYPES)
 
 

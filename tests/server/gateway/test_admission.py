@@ -98,6 +98,8 @@ def test_a_request_is_refused_with_its_reason() -> None:
         (OPEN, request_for("/robot/description.urdf", FOREIGN), 403, "may not connect"),
         *((OPEN, plain(path, FOREIGN), 403, "") for path in ("/", "/metrics", "/healthz", "/robots", "//robot/x")),
         (LOCKED, request_for(f"/?token={SECRET}&token={OTHER}"), 401, "one token is wanted, not 2"),
+        (OPEN, request_for("/?on_disconnect=halt"), 400, "?on_disconnect= must be finish or stop, not 'halt'"),
+        (OPEN, request_for("/?ros=1&ros=noetic"), 400, "?ros= must be 1 or 2, not 'noetic'"),
     ):
         got, text = refused(AdmissionPolicy(tokens).check(asked))
         assert got == status

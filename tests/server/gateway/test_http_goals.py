@@ -122,6 +122,7 @@ async def test_a_stop_needs_no_more_than_the_right_to_look_and_stops_beside_othe
     assert await door.post({"stop": True}, token=VIEWER) == (200, stopped)
     for asked in ({**READY, "stop": True}, {"stop": 1}, {"stop": "now", "speed": 3}, {"stop": True, "after_stop": -1}):
         assert await door.post(asked) == (200, stopped), asked
+    assert await door.post({"stop": True}, path="/goal?timeout=soon&on_disconnect=halt") == (200, stopped)
 
 
 @pytest.mark.parametrize(
@@ -177,6 +178,12 @@ async def test_a_mistake_is_one_sentence_that_names_it(door: Door) -> None:
         assert message in answer["message"]
         assert not door.arm.calls, message
         assert not door.arm.gripper, message
+
+
+async def test_a_choice_that_does_not_exist_moves_nothing(door: Door) -> None:
+    got, answer = await door.post(READY, path="/goal?on_disconnect=halt")
+    assert (got, answer["message"]) == (400, "?on_disconnect= must be finish or stop, not 'halt'")
+    assert not door.arm.calls
 
 
 async def test_the_deadline_is_within_its_limits_and_a_goal_that_outlasts_it_is_cancelled(door: Door) -> None:

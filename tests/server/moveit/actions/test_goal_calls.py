@@ -113,7 +113,7 @@ async def test_a_call_is_answered_when_its_motion_has_ended(desk: Desk, goal: di
 
 
 EXACTLY_ONE = "exactly one of the fields named, joints and pose must be given, not "
-LEAST, MOST = "Input should be greater than or equal to", "Input should be less than or equal to"
+LEAST, MOST = "must be greater than or equal to", "must be less than or equal to"
 NOT_READ: list[tuple[dict[str, Any], int, str]] = [
     ({}, -16, f"{EXACTLY_ONE}none"),
     ({"pose": {"header": {"stamp": {"sec": 1}}}}, -16, f"{EXACTLY_ONE}none"),
@@ -125,11 +125,11 @@ NOT_READ: list[tuple[dict[str, Any], int, str]] = [
     (
         {"named": "ready", "optimization": "worst"},
         -16,
-        "optimization: Input should be 'first', 'short' or 'best', not 'worst'",
+        "optimization: must be 'first', 'short' or 'best', not 'worst'",
     ),
     ({"named": "ready", "optimization_time": 10.1}, -16, f"optimization_time: {MOST} 10, not 10.1"),
     ({"named": "ready", "optimization_time": -1.0}, -16, f"optimization_time: {LEAST} 0, not -1.0"),
-    ({"named": "ready", "allowed_planning_time": math.nan}, -16, "allowed_planning_time: Input should be"),
+    ({"named": "ready", "allowed_planning_time": math.nan}, -16, "allowed_planning_time: must be"),
     ({"named": "ready", "allowed_planning_time": 61.0}, -16, f"allowed_planning_time: {MOST} 60, not 61"),
     ({"named": "ready", "group": "leg"}, -15, "there is no planning group 'leg'"),
     ({"group": "gripper", "joints": ELBOW}, -16, "no joint of group gripper is named"),

@@ -87,8 +87,10 @@ class PointCondition(_LinkCondition):
 
     def distances(self, placements: Placements) -> Vector:
         """Distance of the point from the middle [m]."""
-        points_m = placements.positions_m + placements.rotations @ self.offset_m
-        return np.asarray(np.linalg.norm(points_m - self.center_m, axis=1))
+        # One product of a matrix takes a tenth of the time of thousands of small ones.
+        turned_m = (placements.rotations.reshape(-1, 3) @ self.offset_m).reshape(-1, 3)
+        away_m = placements.positions_m + turned_m - self.center_m
+        return np.asarray(np.sqrt(np.einsum("mi,mi->m", away_m, away_m)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice, product
 from typing import Any
 
@@ -158,9 +159,18 @@ class _End:
 
     q: Vector
     tight: bool
-    collides: bool
     violation_m: float
     preference_error_m: float
+    collision: CollisionModel | None
+
+    @cached_property
+    def collides(self) -> bool:
+        # By parts it takes as long as two descents, and is of no use where an end is found that is not tight.
+        return self.tight and self.collision is not None and self.collision.collides(self.q)
+
+    @property
+    def roomy(self) -> bool:
+        return self.violation_m == 0.0 and not self.tight
 
     @property
     def solves(self) -> bool:
@@ -192,14 +202,14 @@ class DescentResults:
 
     def enough(self, wanted: int) -> bool:
         """Tell whether more descents would hardly help."""
-        good = [end for end in self._ends if end.solves and not end.tight]
+        good = [end for end in self._ends if end.roomy]
         patience = FRUITLESS_RESTARTS if good else self._patience
         return sum(end.preference_error_m == 0.0 for end in good) >= wanted or self._fruitless >= patience
 
     @property
     def any_solution(self) -> bool:
         """True when a free configuration was found in which the required conditions hold."""
-        return any(end.solves for end in self._ends)
+        return any(end.roomy for end in self._ends) or any(end.solves for end in self._ends)
 
     @property
     def only_touching(self) -> bool:
@@ -209,43 +219,44 @@ class DescentResults:
     @property
     def only_colliding(self) -> bool:
         """True when every configuration found is in contact."""
-        return all(end.collides for end in self._ends)
+        return all(end.tight for end in self._ends) and all(end.collides for end in self._ends)
 
     def add(self, q: Vector) -> None:
         """Take the end of one descent."""
         self._fruitless += 1
-        if any(end.solves and self._apart_rad(q, end.q) < DISTINCT_RAD for end in self._ends):
+        if self._known(q, (end.q for end in self._ends if end.roomy)):
             return
         tight = self._collision is not None and self._collision.in_collision(q)
-        collides = tight and self._collision is not None and self._collision.collides(q)
-        end = _End(q, tight, collides, self._required.violation_m(q), self._preferred.violation_m(q))
+        end = _End(q, tight, self._required.violation_m(q), self._preferred.violation_m(q), self._collision)
         self._ends.append(end)
         if end.violation_m < self._least_violation_m - NEARER_M:
             self._least_violation_m, self._fruitless = end.violation_m, 0
-        if end.solves:
+        if end.roomy:
             if end.preference_error_m <= max(0.0, self._least_preference_error_m - NEARER_M):
                 self._fruitless = 0
             self._least_preference_error_m = min(self._least_preference_error_m, end.preference_error_m)
 
     def result(self, arrange: Callable[[list[Vector]], tuple[Vector, ...]]) -> SearchResult:
         """Return the solutions in the arrangement that a function gives them, or the nearest configuration."""
-        nearest = min(self._ends, key=lambda end: (end.collides, end.violation_m, end.preference_error_m))
+        # Where only parts within the hulls are apart, motions are slow to check and rarely found.
+        roomy = [end for end in self._ends if end.roomy]
+        for end in self._ends if not roomy else ():
+            if end.solves and not self._known(end.q, (other.q for other in roomy)):
+                roomy.append(end)
+        nearest = min(roomy or self._ends, key=lambda end: (end.collides, end.violation_m, end.preference_error_m))
         deviation = self._both.deviation(nearest.q)
-        solving = [end for end in self._ends if end.solves]
-        if not solving:
+        if not roomy:
             meeting = next((end for end in self._ends if end.violation_m == 0.0), None)
             return SearchResult((), self._pairs(meeting), nearest.q, deviation)
-        # Where only parts within the hulls are apart, motions are slow to check and rarely found.
-        roomy = [end for end in solving if not end.tight] or solving
         most_m = min(end.preference_error_m for end in roomy) + ROTATION_ARM_M * PREFERENCE_SLACK_RAD
         preferred = [end.q for end in roomy if end.preference_error_m <= most_m]
         return SearchResult(arrange(preferred), (), nearest.q, deviation)
 
-    def _apart_rad(self, q: Vector, other_q: Vector) -> float:
-        """Return the greatest difference of a joint, whole turns apart where a joint may turn once around [rad]."""
-        apart = np.abs(q - other_q)
+    def _known(self, q: Vector, others: Iterable[Vector]) -> bool:
+        """Return true if a configuration is one of others, or whole turns from it where joints may turn once around."""
+        apart = np.abs(q - np.array([*others]).reshape(-1, len(q)))
         turns = np.where(self._turning, np.rint(apart / TURN_RAD), 0.0)
-        return float(np.max(np.abs(apart - TURN_RAD * turns)))
+        return bool((np.abs(apart - TURN_RAD * turns) < DISTINCT_RAD).all(axis=1).any())
 
     def _pairs(self, end: _End | None) -> tuple[CollidingPair, ...]:
         return tuple(self._collision.colliding_pairs(end.q)) if self._collision is not None and end is not None else ()

@@ -6,14 +6,14 @@ import pinocchio as pin
 import pytest
 
 from harness.meshes import ball
-from planners.geometry.broadphase import FEW_SHAPES, UNKNOWN_M
+from planners.geometry.broadphase import FEW_SHAPES, MANY_RESTING, UNKNOWN_M
 from planners.geometry.certificate import line_free
 from planners.geometry.collision import CollisionModel
 from planners.geometry.joint_space import JointSpace
 from planners.geometry.parts import Boxes, PartPair, least_distance_m, near_pairs, parts_of
 from planners.geometry.shapes import convex, frame_of_link, kinematic_urdf
 from planners.geometry.surfaces import UNIT_M, load_surfaces
-from planners.scene import Box, Mesh, Plane, Sphere
+from planners.scene import AttachedObject, Box, Mesh, Plane, Pose, SceneObject, Sphere
 from robot.description import model
 from tests.helpers.resources import in_proportion
 from tests.planners.scenes import CORNERS_M, FACES, around_the_arm, outside_m, scene, thing
@@ -41,10 +41,12 @@ def distances_m(broadphase, q):
     return np.array([broadphase.distance_m(pair) for pair in range(len(broadphase._pairs))])
 
 
+@pytest.mark.parametrize("many_resting", [0, MANY_RESTING])
 @pytest.mark.parametrize("few", [0, FEW_SHAPES])
-def test_touching_is_overlapping_among_few_and_many_shapes(crowded, monkeypatch, few):
+def test_touching_is_overlapping_among_few_and_many_shapes(crowded, monkeypatch, few, many_resting):
     build, states = crowded
     monkeypatch.setattr("planners.geometry.broadphase.FEW_SHAPES", few)
+    monkeypatch.setattr("planners.geometry.broadphase.MANY_RESTING", many_resting)
     broadphase, fresh, verdicts = build(), build(), set()
     for q in states:
         expected = fresh.touching(q)
@@ -58,6 +60,26 @@ def test_touching_is_overlapping_among_few_and_many_shapes(crowded, monkeypatch,
         assert [pair for pair, _ in alone] == [i for i in expected if i % 2 == 0]
         verdicts.add(bool(expected))
     assert verdicts == {True, False}
+
+
+@pytest.mark.parametrize("few", [0, FEW_SHAPES])
+def test_padded_links_and_a_held_object_touch_each_of_many_objects(changing, monkeypatch, few):
+    monkeypatch.setattr("planners.geometry.broadphase.FEW_SHAPES", few)
+    rng, padding_m = np.random.default_rng(7), {"gripper_link": 0.05, "lower_arm_link": 0.01}
+    held = AttachedObject(SceneObject("bar", ((Box((0.02, 0.02, 0.2)), Pose()),), Pose()), "gripper_link", frozenset())
+    places_m = rng.uniform((-0.5, -0.5, 0.0), (0.5, 0.5, 0.6), (2 * MANY_RESTING, 3)).tolist()
+    things = (thing(Box((0.02, 0.02, 0.02)), *at_m, name=str(at_m)) for at_m in places_m)
+    assert changing.set_scene(scene(*things, attached=(held,), link_padding_m=padding_m)) is None
+    broadphase, touched = changing._broadphase, set()
+    for q in rng.uniform(changing.lower_rad, changing.upper_rad, (in_proportion(1000), 6)):
+        expected = np.flatnonzero(distances_m(broadphase, q) < 0.0).tolist()
+        assert broadphase.touches(q) == bool(expected)
+        # Each pair alone, and none in spite of all others.
+        for pair in expected[:3]:
+            others = frozenset(range(len(broadphase._pairs))) - {pair}
+            assert broadphase.touches(q, others)
+            touched |= changing._names[pair]
+    assert {"bar", *padding_m} <= touched
 
 
 @pytest.mark.parametrize("margins_m", [(0.02, 0.02), (0.0, 0.1)], ids=str)

@@ -76,8 +76,9 @@ def test_without_a_server_is_one_line() -> None:
 
 def test_a_silent_server_is_no_server(run_example: RunExample, silent_port: tuple[socket.socket, int]) -> None:
     _, port = silent_port
-    done = run_example("named_goal.py", "--url", f"ws://localhost:{port}")
-    assert done.stderr == f"ws://localhost:{port}: no answer to the connection within 5 s\n"
+    url = f"ws://localhost:{port}"
+    done = run_example("named_goal.py", "--url", url)
+    assert done.stderr == f"{url}: no answer yet; waiting up to 10 s\n{url}: no answer to the connection within 10 s\n"
     assert done.returncode == 1
 
 

@@ -33,6 +33,8 @@ async def running(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Arm
 @pytest_asyncio.fixture(loop_scope="module")
 async def rig(running: ArmOnServos) -> ArmOnServos:
     """The arm, which holds with its pan at 0."""
+    # As the server does after a standstill: between tests no event loop runs, nor its heartbeat.
+    running.arm.stop()
     if running.arm.state.mode is Mode.FAULT:
         assert (await running.arm.order(Order.RESET_FAULT)).done
     if running.arm.state.mode is not Mode.HOLDING:

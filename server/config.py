@@ -259,7 +259,7 @@ class RecordingSettings(SettingsSection):
     file: Path | None = None
     """MCAP file to record every message to; if it exists, a number is added to the name."""
     limit_mb: int | None = Field(default=None, ge=1, le=1_000_000)
-    """size of the file at which the recording ends [MB]."""
+    """size at which the recording ends [MB]."""
 
 
 class DiagnosticsSettings(SettingsSection):

@@ -13,7 +13,6 @@ from mcap.writer import CompressionType, Writer
 
 from protocol import type_descriptions
 from protocol.registry import Registry
-from robot.logs import LogLimiter
 from server.errors import ConfigurationError
 
 log = logging.getLogger("armbridge.recording")
@@ -21,7 +20,7 @@ log = logging.getLogger("armbridge.recording")
 # Messages that are not yet in a chunk are lost with the process; larger chunks would compress better.
 CHUNK_BYTES = 524_288
 
-# A file numbers its channels with 16 bits (MCAP specification, "Channel"); further ones are left out.
+# A file numbers its channels with 16 bits (MCAP specification, "Channel"); with more the next file begins.
 MAX_CHANNELS = 65_535
 
 # No file is ever overwritten; a directory with more recordings of one name is a mistake.
@@ -73,18 +72,22 @@ class RecordedMessage(NamedTuple):
 class RecordingFile:
     """A new file ``NAME.mcap``, or ``NAME_1.mcap`` and so on where that exists; all methods may raise OSError.
 
-    It has the profile ``ros2``, and a channel for each topic and type.
+    It has the profile ``ros2``, and a channel for each topic and type. With all its channels, the next file begins.
     """
 
     def __init__(self, path: Path, registry: Registry, limit_bytes: int | None = None) -> None:
+        self._wanted_path = path
         self._registry = registry
         self._limit_bytes = limit_bytes
-        self._stream, self.path = _open_new(path)
+        self._ended_bytes = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._stream, self.path = _open_new(self._wanted_path)
         log.info("recording to %s", self.path)
         self._schemas: dict[str, int] = {}
         # By topic and type: the channel's id and its number of messages.
         self._channels: dict[tuple[str, str], list[int]] = {}
-        self._left_out = LogLimiter()
         self._writer = Writer(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
         try:
             self._writer.start(profile="ros2", library=f"armbridge {metadata.version('armbridge')}")
@@ -96,22 +99,20 @@ class RecordingFile:
 
     @property
     def full(self) -> bool:
-        """True for a file that has its size, without the chunk that is not complete yet."""
-        return self._limit_bytes is not None and self._stream.tell() >= self._limit_bytes
+        """True for a recording that has its size, without the chunk that is not complete yet."""
+        return self._limit_bytes is not None and self._ended_bytes + self._stream.tell() >= self._limit_bytes
 
     def add(self, message: RecordedMessage) -> None:
         channel = self._channels.get((message.topic, message.type_name)) or self._new_channel(message)
-        if channel is not None:
-            channel[1] += 1
-            number, count = channel
-            self._writer.add_message(number, message.log_time_ns, message.octets, message.publish_time_ns, count)
+        channel[1] += 1
+        number, count = channel
+        self._writer.add_message(number, message.log_time_ns, message.octets, message.publish_time_ns, count)
 
-    def _new_channel(self, message: RecordedMessage) -> list[int] | None:
-        """Register the channel of a message; None for one too many."""
+    def _new_channel(self, message: RecordedMessage) -> list[int]:
         if len(self._channels) >= MAX_CHANNELS:
-            line = f"recording: {message.topic} is left out: {self.path} has {MAX_CHANNELS} topics already, the limit"
-            self._left_out.write(log, logging.WARNING, line, message.topic)
-            return None
+            self.end()
+            self._ended_bytes += self.path.stat().st_size
+            self._begin()
         schema = self._schemas.get(message.type_name)
         if schema is None:
             text = type_descriptions.full_text(self._registry, message.type_name)

@@ -211,7 +211,7 @@ class Closable(Protocol):
 
 
 class SharedThings(Generic[Wanted, Thing]):
-    """Things of one kind that are shared, by name: what is wanted of each, and what was made for that."""
+    """Things of one kind that are shared, by name; each with the request that it was made for."""
 
     def __init__(self, network: Network, make: Callable[[str, Wanted], Thing]) -> None:
         self._network = network
@@ -219,7 +219,7 @@ class SharedThings(Generic[Wanted, Thing]):
         self._made: dict[str, tuple[Wanted, Thing]] = {}
 
     def follow(self, wanted: Mapping[str, Wanted]) -> None:
-        """Share what is wanted now, as it is wanted, and nothing else."""
+        """Share the wanted things and no others; one that is wanted otherwise now is made again."""
         for name, (former, thing) in list(self._made.items()):
             if wanted.get(name) != former:
                 del self._made[name]

@@ -32,7 +32,7 @@ MAX_WAITING = 10
 
 
 class SharedTopic(NamedTuple):
-    """Topic as it is published on the network, or subscribed to there."""
+    """Topic to publish on the network, or to subscribe to there."""
 
     endpoint: Endpoint
     latched: bool = False

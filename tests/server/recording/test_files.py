@@ -94,15 +94,26 @@ def test_a_file_is_full_when_it_has_its_size(tmp_path: Path, limit: int | None, 
     assert len(recorded_messages(file.path)) == written
 
 
-def test_topics_for_which_a_file_has_no_number_are_left_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_file_with_all_its_channels_is_followed_by_the_next(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files, "MAX_CHANNELS", 3)
-    path = record(tmp_path / "run.mcap", [text(number, f"/t{number % 5}") for number in range(10)])
-    assert [each.topic for each in recorded_messages(path)] == ["/t0", "/t1", "/t2", "/t0", "/t1", "/t2"]
-    assert [line for line in caplog.messages if "topics already, the limit" in line] == [
-        f"recording: {topic} is left out: {path} has 3 topics already, the limit" for topic in ("/t3", "/t4")
+    record(tmp_path / "run.mcap", [text(number, f"/t{number % 5}") for number in range(7)])
+    recorded = [recorded_messages(tmp_path / name) for name in ("run.mcap", "run_1.mcap", "run_2.mcap")]
+    assert [[each.topic for each in messages] for messages in recorded] == [
+        ["/t0", "/t1", "/t2"],
+        ["/t3", "/t4", "/t0"],
+        ["/t1"],
     ]
+
+
+def test_the_size_of_a_recording_is_that_of_all_its_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files, "MAX_CHANNELS", 1)
+    file = RecordingFile(tmp_path / "run.mcap", REGISTRY, 3000)
+    for number in range(100):
+        if not file.full:
+            file.add(text(number, f"/t{number}"))
+    file.end()
+    sizes = [path.stat().st_size for path in tmp_path.iterdir()]
+    assert max(sizes) < 3000 <= sum(sizes) < 3000 + 2 * max(sizes)
 
 
 def test_a_disk_that_is_full_from_the_beginning_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

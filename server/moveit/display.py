@@ -6,7 +6,6 @@ from typing import Any
 
 from protocol.messages import Stamp
 from robot.description.model import RobotModel
-from robot.trajectory import Trajectory
 from server.execution.monitors import state_message
 from server.execution.motions import Performed
 from server.graph.topics import Graph
@@ -45,27 +44,21 @@ class DisplayTopics:
         self._node.advertise(PIPELINE_TOPIC, "moveit_msgs/PipelineState")
 
     def performed(self, performed: Performed) -> None:
-        """Show motions that are about to be executed, one after the other."""
-        start = state_message(performed.start_rad, self._robot.root_link, 0.0)
-        if is_long(performed.planned):
-            self._stop_writing()
-            self._writing = asyncio.create_task(self._show_long(performed.planned, start), name="shown motion")
-        else:
-            self.trajectories([to_message(motion, self._robot.root_link) for motion in performed.planned], start)
-
-    async def _show_long(self, planned: Sequence[Trajectory], start: Message) -> None:
-        trajectories, self._writing = await to_messages(planned, self._robot.root_link), None
-        self.trajectories(trajectories, start)
-
-    def trajectories(self, trajectories: Sequence[Message], start: Message) -> None:
-        """Show planned motions, one after the other, that are written already."""
-        self._stop_writing()
-        message = {"model_id": self._robot.name, "trajectory": list(trajectories), "trajectory_start": start}
-        self._node.publish(PATH_TOPIC, message, prevalidated=True)
-
-    def _stop_writing(self) -> None:
+        """Show planned motions, one after the other."""
         if self._writing is not None:
             self._writing.cancel()
+        if is_long(performed.planned):
+            self._writing = asyncio.create_task(self._show_long(performed), name="shown motion")
+        else:
+            self._publish(performed, [to_message(motion, self._robot.root_link) for motion in performed.planned])
+
+    async def _show_long(self, performed: Performed) -> None:
+        self._publish(performed, await to_messages(performed.planned, self._robot.root_link))
+
+    def _publish(self, performed: Performed, trajectories: list[Message]) -> None:
+        start = state_message(performed.start_rad, self._robot.root_link, 0.0)
+        message = {"model_id": self._robot.name, "trajectory": trajectories, "trajectory_start": start}
+        self._node.publish(PATH_TOPIC, message, prevalidated=True)
 
     def pipeline(self, request: Message, response: Message) -> None:
         """Publish a request to the planners and its response, if there are subscribers."""

@@ -6,20 +6,16 @@ confirmation and status. The answer comes at the end of the motion.
 
 import functools
 import logging
-from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 from planners.problem import MoveItErrorCode
 from protocol.messages import ListLimits
 from server.diagnostic_values import key_values
 from server.errors import RefusedError, invalid, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
-from server.execution.motions import PlannedMotion
 from server.execution.queue import GoalQueue
-from server.graph import services
-from server.graph.actions import ActionGoal
-from server.graph.permissions import CALLED_GOAL, Node
+from server.graph.actions import ActionGoal, Result
+from server.graph.permissions import CALLED_GOAL
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status, plan_without_moving
@@ -34,6 +30,7 @@ from server.moveit.goals.goal_topics import (
     suggestion,
 )
 from server.moveit.messages import Message
+from server.moveit.scene.interface import NO_STATE
 
 log = logging.getLogger("armbridge.goals")
 
@@ -52,51 +49,30 @@ class GoalCalls:
         self._queue = queue
         self._translator = translator
         self._context = translator.planning
-        self._node = graph.node("moveit goal")
-        self._name = self._node.resolve(NAME)
+        self._actions = graph.graph.actions
+        node = graph.node("moveit goal")
+        self._name = node.resolve(NAME)
         lists = ("name", "position", "velocity", "effort")
         limits = ListLimits({f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in lists})
-        self._node.offer_calls(NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits, rule=CALLED_GOAL)
-        self._node.offer_action(NAME, ACTION_TYPE, self._start, limits, rule=CALLED_GOAL)
+        node.offer_calls(NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits, rule=CALLED_GOAL)
+        node.offer_action(NAME, ACTION_TYPE, self._start, limits, rule=CALLED_GOAL)
 
     def _call(self, call: Call) -> None:
+        """Send a goal of the action for a call, which is answered by its result."""
+
         def ended(response: Response) -> None:
             """Cancel the goal of a call without its answer; as others, it outlives its client's leaving."""
-            outlives = call.caller_left and not call.caller.takes_goals_along and not call.request["plan_only"]
-            if cancel is not None and not response.ok and not outlives:
-                cancel(f"the call of {self._name} is over: {response.values}")
+            if goal is not None and not response.ok and (call.request["plan_only"] or not call.caller_left):
+                goal.cancel()
 
-        with services.failure_told(call):
-            cancel = self._begin(call.request, call.caller, call.succeed)
-            call.when_ended(ended)
+        def take(result: Result) -> None:
+            (call.succeed if result.ok else call.fail)(result.values)
+
+        goal = self._actions.send_goal(call.caller, self._name, ACTION_TYPE, call.request, take)
+        call.when_ended(ended)
 
     def _start(self, goal: ActionGoal) -> None:
-        def report(progress: Progress) -> None:
-            goal.feedback(
-                {
-                    "state": progress.state.value,
-                    "message": progress.message,
-                    "fraction": progress.fraction,
-                    "seconds_left": progress.remaining_s,
-                }
-            )
-
-        def end(values: Mapping[str, Any]) -> None:
-            report(Progress(GoalState.DONE, values["message"], 1.0 if values["success"] else 0.0))
-            goal.finish(goal_status(MoveItErrorCode(values["code"])), values)
-
-        cancel = self._begin(goal.request, goal.sender, end, report)
-        if cancel is not None:
-            cancel_with_goal(goal, cancel)
-
-    def _begin(
-        self,
-        request: Message,
-        client: Node,
-        end: Callable[[Mapping[str, Any]], None],
-        report: Callable[[Progress], None] = lambda _progress: None,
-    ) -> Callable[[str], object] | None:
-        """Begin to carry a request out; return the function that cancels it, None if it was rejected."""
+        request, client = goal.request, goal.sender
         message: Message = {}
         proposed = client.is_viewer and not request["plan_only"]
         try:
@@ -110,47 +86,48 @@ class GoalCalls:
             motion = self._translator.motion(topic, message, self._translator.options(request))
         except RefusedError as error:
             rejected = self._queue.reject(GoalRequest(self._name, message=message), error.failure)
-            end(self._result(message, Answer.of(error.failure), rejected.goal_id))
-            return None
+            self._end(goal, message, Answer.of(error.failure), rejected.goal_id)
+            return
         for warning in motion.warnings:
             log.warning("%s: %s", self._name, warning)
+        report = functools.partial(_report, goal)
         if request["plan_only"]:
             report(Progress(GoalState.PLANNING, "planning"))
-            work = self._plan(motion, client)
-            return plan_without_moving(work, self._name, lambda answer: end(self._result(message, answer)))
+            # Planned from where the arm is, whatever it does meanwhile.
+            work = plan_steps(motion.steps, NO_STATE, client, self._context)
+            end = functools.partial(self._end, goal, message)
+            cancel_with_goal(goal, plan_without_moving(work, self._name, end))
+            return
         motion = replace(motion, confirm=proposed or self._context.confirmation.enabled, proposed=proposed)
         # A proposal neither preempts a motion nor is refused for one.
         policy = GoalPolicy.QUEUE if proposed else None
         queued = self._queue.submit(GoalRequest(self._name, motion, message, client, policy=policy, on_progress=report))
         if proposed:
             self._context.confirmation.propose(queued)
-        queued.answered.add_done_callback(
-            lambda answered: end(self._result(message, answered.result(), queued.goal_id))
-        )
-        return functools.partial(self._queue.cancel, queued.goal_id)
+        queued.answered.add_done_callback(lambda answered: self._end(goal, message, answered.result(), queued.goal_id))
+        cancel_with_goal(goal, functools.partial(self._queue.cancel, queued.goal_id))
 
-    async def _plan(self, motion: PlannedMotion, client: Node) -> Answer:
-        """Plan from where the arm is, whatever it does meanwhile."""
-        await self._context.scene_state.settled()
-        state = self._node.message_types.complete("moveit_msgs/msg/RobotState", {})
-        try:
-            start = self._context.start(state, client)
-        except RefusedError as error:
-            return Answer.of(error.failure)
-        return await plan_steps(motion.steps, start, start.scene, self._context)
-
-    def _result(self, message: Message, answer: Answer, number: str = "") -> dict[str, Any]:
+    def _end(self, goal: ActionGoal, message: Message, answer: Answer, number: str = "") -> None:
         instead = suggestion(message, answer.details, self._context.robot)
-        return {
-            "success": answer.code is MoveItErrorCode.SUCCESS,
+        sentence = answer.message if instead is None else instead.added_to(answer.message)
+        succeeded = answer.code is MoveItErrorCode.SUCCESS
+        _report(goal, Progress(GoalState.DONE, sentence, 1.0 if succeeded else 0.0))
+        result = {
+            "success": succeeded,
             "code": int(answer.code),
             "code_name": answer.code.name,
-            "message": answer.message if instead is None else instead.added_to(answer.message),
+            "message": sentence,
             "goal_id": number,
             "duration_s": answer.performed.duration_s,
             "suggested": {} if instead is None else instead.as_target(),
             "details": key_values(details_as_json(answer)),
         }
+        goal.finish(goal_status(answer.code), result)
+
+
+def _report(goal: ActionGoal, progress: Progress) -> None:
+    state, left_s = progress.state.value, progress.remaining_s
+    goal.feedback({"state": state, "message": progress.message, "fraction": progress.fraction, "seconds_left": left_s})
 
 
 def _goal_of(request: Message) -> tuple[str, Message]:

@@ -16,7 +16,7 @@ from protocol.messages import Stamp
 from protocol.publication import PublishedMessage
 from robot.description.model import Group, RobotModel
 from robot.messages import ArmState, Outcome
-from robot.trajectory import Trajectory, Vector
+from robot.trajectory import Vector
 from server.errors import GraphError, RefusedError, invalid_plan
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Positions
@@ -78,10 +78,19 @@ class SegmentTolerances:
     time_s: float
 
 
-def check_allowed_speed(trajectory: Trajectory, planning: PlanningContext) -> None:
-    """Refuse a trajectory that exceeds the arm's speed limit, where the settings do not have it played slower."""
-    if planning.parameters.configured.faster_trajectories == "refuse":
-        check_speed(trajectory, planning.robot, planning.current.speed_limit(trajectory.joint_names))
+def checked_motion(
+    message: Message, planning: PlanningContext, timing: TrajectoryTiming | None = None
+) -> ExternalTrajectory:
+    """Make the motion of a trajectory, and check that it can be played from where the arm is now.
+
+    A trajectory that exceeds the arm's speed limit is refused where the settings do not have it played slower.
+    """
+    motion, present_rad = external_motion(message, planning.robot, timing), planning.current.positions_rad()
+    if present_rad is not None:
+        trajectory = motion.trajectory(present_rad, planning.clock(), None)
+        if planning.parameters.configured.faster_trajectories == "refuse":
+            check_speed(trajectory, planning.robot, planning.current.speed_limit(trajectory.joint_names))
+    return motion
 
 
 class JointTrajectoryController:
@@ -216,11 +225,7 @@ class JointTrajectoryController:
             speed_limit=planning.current.speed_limit(self._group.joints),
             rate=rate,
         )
-        motion = external_motion(trajectory, self._robot, timing)
-        present_rad = planning.current.positions_rad()
-        if present_rad is not None:
-            check_allowed_speed(motion.trajectory(present_rad, now_s, None), planning)
-        return motion
+        return checked_motion(trajectory, planning, timing)
 
 
 class TrajectoryGoal:

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from planners.problem import MoveItErrorCode
-from planners.scene import Scene
 from robot.description.model import RobotModel
 from robot.trajectory import Trajectory
 from server.errors import RefusedError, refused
@@ -28,12 +27,12 @@ from server.moveit.actions.goal_bridge import (
     reject_goal,
     submit_goal,
 )
-from server.moveit.actions.joint_trajectory_controller import check_allowed_speed, check_duration
+from server.moveit.actions.joint_trajectory_controller import check_duration, checked_motion
 from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code
-from server.moveit.requests.planning_context import PlanningContext, PlanningStart, attached_diff
+from server.moveit.requests.planning_context import PlanningContext, attached_diff
 from server.moveit.requests.planning_problems import PLANNING_LIMITS, TRAJECTORY_LIMITS, sequence_requests
-from server.moveit.trajectories import external_motion, external_trajectory, is_long, to_message
+from server.moveit.trajectories import is_long, to_message
 
 log = logging.getLogger("armbridge.actions")
 
@@ -211,31 +210,36 @@ def planned_motion(requests: Sequence[Message], options: Message, context: Plann
 async def plan_only(
     requests: Sequence[Message], sender: Node, context: PlanningContext, options: Message | None = None
 ) -> Answer:
-    """Plan from the start state of the first request, completed by positions that the sender assumes."""
-    state = requests[0]["start_state"]
+    """Plan moveit_msgs/MotionPlanRequests from the start state of the first, without moving; as :func:`plan_steps`."""
     warnings: list[str] = []
+    steps = [context.problems.request_step(request, warnings) for request in requests]
+    return await plan_steps(steps, requests[0]["start_state"], sender, context, options, warnings)
+
+
+async def plan_steps(
+    steps: Sequence[MotionStep],
+    state: Message,
+    sender: Node,
+    context: PlanningContext,
+    options: Message | None = None,
+    warnings: Sequence[str] = (),
+) -> Answer:
+    """Plan motions one after the other, without moving, and show them.
+
+    Positions that the sender assumes complete the start state. The steps may add warnings.
+    """
+    await context.scene_state.settled()
+    ignored: list[str] = []
     try:
         start = context.start(state, sender)
         scene = start.scene
         if options is not None:
             replanning(options)
-            warnings += ignored_options(options)
+            ignored = ignored_options(options)
             if (diff := scene_diff(options)) is not None:
                 scene = context.scene_state.with_diff({**diff, **(attached_diff(state) or {})}, start.start_rad)
     except RefusedError as error:
         return Answer.of(error.failure)
-    steps = [context.problems.request_step(request, warnings) for request in requests]
-    return await plan_steps(steps, start, scene, context, warnings)
-
-
-async def plan_steps(
-    steps: Sequence[MotionStep],
-    start: PlanningStart,
-    scene: Scene,
-    context: PlanningContext,
-    warnings: Sequence[str] = (),
-) -> Answer:
-    """Plan motions one after the other, without moving, and show them; the steps may add warnings."""
     planned = await plan_sequence(steps, start.start_rad, scene, context.pool)
     if planned.planned:
         context.display.performed(planned)
@@ -243,7 +247,8 @@ async def plan_steps(
         context.display.contacts_of(planned.failure.details)
         failure = await with_nearest_goal(planned.failure, planned.problem, scene, context.pool)
         return Answer.of(failure, planned)
-    return Answer(MoveItErrorCode.SUCCESS, "; ".join((*start.warnings, *warnings, *planned.notes)), performed=planned)
+    sentences = (*start.warnings, *ignored, *warnings, *planned.notes)
+    return Answer(MoveItErrorCode.SUCCESS, "; ".join(sentences), performed=planned)
 
 
 def offer_execute_trajectory(graph: Graph, context: PlanningContext, queue: GoalQueue) -> None:
@@ -262,12 +267,9 @@ def offer_execute_trajectory(graph: Graph, context: PlanningContext, queue: Goal
         try:
             # A trajectory that cannot be played does not replace the motion of another goal.
             check_duration(message, context.time_limits)
-            if (present_rad := context.current.positions_rad()) is not None:
-                check_allowed_speed(external_trajectory(message, context.robot, present_rad), context)
+            _execute(goal, queue, checked_motion(message, context), result)
         except RefusedError as error:
             reject_goal(goal, queue, error.failure, result)
-        else:
-            _execute(goal, queue, external_motion(message, context.robot), result)
 
     node, type_name = graph.node("execute trajectory"), "moveit_msgs/action/ExecuteTrajectory"
     node.offer_action(EXECUTE_ACTION, type_name, start, TRAJECTORY_LIMITS, rule=GOAL)

@@ -20,7 +20,7 @@ from protocol.messages import Stamp
 from robot.description.model import Group, RobotModel
 from server.errors import RefusedError, ServiceError, UnsuccessfulError, required
 from server.execution.monitors import state_message
-from server.execution.motions import deviation_note
+from server.execution.motions import Performed, deviation_note
 from server.graph.permissions import CONFIGURING, LOOKING, PLANNING, Node, Rule
 from server.graph.providers import CompleteResponse
 from server.graph.services import Answered, Call, answer
@@ -199,13 +199,12 @@ async def compute_cartesian_path(context: PlanningContext, request: Message, cal
     built = await asyncio.to_thread(read, request, start.start_rad) if long else read(request, start.start_rad)
     plan = required(await context.pool.ask(built.problem, start.scene))
     root = context.robot.root_link
-    start_state = state_message(start.start_rad, root, 0.0)
     [solution] = await to_messages([plan.trajectory], root)
-    context.display.trajectories([solution], start_state)
+    context.display.performed(Performed(start.start_rad, (plan.trajectory,)))
     if plan.stopped_by is not None:
         context.display.contacts_of(plan.stopped_by.details)
     return {
-        "start_state": start_state,
+        "start_state": state_message(start.start_rad, root, 0.0),
         "solution": solution,
         "fraction": plan.fraction,
         "error_code": success(

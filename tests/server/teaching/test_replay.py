@@ -90,6 +90,18 @@ async def test_a_wrong_field_is_refused(desk: ActionDesk, fields: dict[str, Any]
     assert says in desk.results[0].values["message"]
 
 
+async def test_a_bug_costs_its_replay_only_and_never_its_result(
+    desk: ActionDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def broken(*_arguments: object) -> None:
+        raise ValueError("broken")
+
+    monkeypatch.setattr(MotionFiles, "load", broken)
+    await desk.send(NAME, name="wave")
+    await until(lambda: desk.results)
+    assert (desk.results[0].ok, desk.results[0].values) == (False, "internal error: ValueError: broken")
+
+
 async def test_a_replay_is_a_goal_with_feedback_and_a_result_that_can_be_cancelled(desk: ActionDesk) -> None:
     await replay(desk, speed=0.0)
     assert problems(desk.asked[0])[-1].speed == 1.0

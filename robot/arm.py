@@ -197,7 +197,7 @@ class Arm(ArmClock):
 
     @property
     def _stopped(self) -> bool:
-        """True from a stop, also of no process or of one that ended before it reported it, until more is asked."""
+        """True from a stop, also while no process runs or before it reports the stop, until more is asked."""
         return self.state.stopped or self.state.last_stop < self.last_stop
 
     def simulate(self, command: SetBodies | PauseSimulation) -> None:

@@ -216,7 +216,7 @@ class Supervisor:
             self._clock.pause(paused=message.paused, ticks=message.ticks)
 
     def _take_stop(self, epoch: int) -> None:
-        """Take a stop of all motion: what was requested before it neither moves the arm nor switches its torque on."""
+        """Take a stop of all motion: no earlier request moves the arm, or switches its torque on."""
         self._last_stop, self._stopped, self._halted = epoch, True, ""
         self._may_enable = False
         if self._orders is not None and self._runs(_NAMES[Order.ENABLE]):

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ, INST_SYNC_READ, INST_WRITE
 
@@ -177,6 +177,7 @@ def test_no_two_reads_in_a_row_nor_blocks_of_different_length_ask_for_the_same_n
         bus.read(1, Register.PRESENT_TEMPERATURE)
     lengths = [instruction.parameters[1] for instruction in line.instructions]
     assert len(set(lengths)) == len(READ_LENGTHS)
+    assert max(register.size for register in Register) < min(lengths)
     assert max(lengths) < SYNC_READ_MIN_LENGTH
     line.instructions.clear()
     for _ in range(SYNC_READ_PADDINGS):
@@ -369,6 +370,8 @@ def test_the_sign_stands_in_each_registers_own_bit_and_every_documented_status_b
 
 
 @given(st.binary(min_size=TELEMETRY_BYTES, max_size=TELEMETRY_BYTES))
+@example(bytes([0, 0x80] * 7 + [0]))  # each sign without a magnitude
+@example(bytes([0, 0x04] * 7 + [0]))
 def test_telemetry_is_read_as_its_registers_are_and_of_no_other_length(block):
     parsed = parse_telemetry(block)
     values = {

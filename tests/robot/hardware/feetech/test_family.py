@@ -93,6 +93,20 @@ def test_a_deviating_setting_is_told_and_another_mode_refused(
     assert words in warning.sentence
 
 
+@pytest.mark.parametrize("model", [776, 2825])
+def test_a_servo_of_another_model_is_told(emulator: SteppedEmulator, model: int) -> None:
+    named = Calibration(
+        tuple(
+            replace(each, servo=replace(each.servo, model="776" if each.servo_id == 2 else "sts3215"))
+            for each in CALIBRATION.joints
+        )
+    )
+    emulator.servo_bus.servos[1].set(Register.MODEL_NUMBER, model)
+    found = run(survey(FAMILY, emulator.open_bus(), ServoMap(FAMILY, named, BOUNDS)))
+    alerts = [warning.alert for warning in found[2].warnings]
+    assert alerts == [ServoAlert.MODEL] * (model != 776)
+
+
 def test_the_soft_limits_are_narrowed_to_what_the_servos_allow(emulator: SteppedEmulator) -> None:
     bus = emulator.open_bus()
     bus.write(1, Register.MAX_ANGLE_LIMIT, CALIBRATION.joints[0].ticks_from_rad(0.5))

@@ -54,9 +54,11 @@ class NamedFiles:
         path = self._path(name)
 
         def check() -> None:
-            if path.exists():
-                raise ValueError(f"there is a {self._kind} of this name: delete or rename it, or choose another name")
-            self._check_count(path)
+            # A folder that takes no lock, as on a full disk, would take no file in the end.
+            with self._locked():
+                if path.exists():
+                    raise ValueError(f"there is a {self._kind} of this name: delete or rename it, or choose another")
+                self._check_count(path)
 
         await self._in_thread(name, "recorded", check)
 

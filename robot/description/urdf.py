@@ -193,7 +193,8 @@ def _check_numbers(robot: ET.Element, source: str) -> None:
                 if element.get(name) is not None:
                     where = f"{source} {part.tag} {part.get('name')!r} <{element.tag}>"
                     values = _numbers(element, name, count, where)
-                    if element.tag == "axis" and not any(values):
+                    # Published arms have such an axis at joints that are fixed.
+                    if element.tag == "axis" and part.get("type") in MOVABLE_TYPES and not any(values):
                         raise DescriptionError(where, "xyz must not be 0 0 0, which is no direction")
 
 
@@ -334,10 +335,11 @@ def rotation_about(axis: Vector, angle_rad: float) -> Vector:
 
 
 def unit_axis(element: ET.Element) -> Vector:
-    """Return the axis of a URDF <joint>: a unit vector, shape (3,), along x where the joint has none."""
+    """Return the axis of a URDF <joint> that moves: a unit vector, shape (3,), along x where the joint has none."""
     axis = element.find("axis")
     values = np.array([float(v) for v in axis.get("xyz", "1 0 0").split()]) if axis is not None else np.eye(3)[0]
-    return values / np.linalg.norm(values)
+    unit: Vector = values / np.linalg.norm(values)
+    return unit
 
 
 def origin_transform(element: ET.Element) -> Vector:

@@ -57,11 +57,17 @@ class RequestError(Exception):
         self.status = status
 
 
+# RFC 8446 5.1: the first bytes of a client that begins TLS, which waits for an answer.
+_TLS_HANDSHAKE = b"\x16\x03"
+
+
 def read_request(data: bytes) -> tuple[Request, int] | None:
     """Return a request and the size of its head, behind which its body may follow; None while the head is incomplete.
 
     Raises RequestError. The parser of websockets reads no requests with a body.
     """
+    if data.startswith(_TLS_HANDSHAKE):
+        raise RequestError("the client speaks wss:// or https://, and here is ws:// and http://")
     end = data.find(_END_OF_HEAD)
     head_bytes = len(data) if end < 0 else end + len(_END_OF_HEAD)
     line_bytes = data.find(_END_OF_LINE, 0, MAX_LINE_BYTES)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import signal
 import sys
 from collections.abc import Sequence
@@ -69,12 +70,13 @@ def _positions(state: State) -> str:
 
 
 def _target(words: Sequence[str]) -> Target:
-    if all("=" in word for word in words):
-        return {joint: float(position) for joint, _, position in (word.partition("=") for word in words)}
-    if len(words) == 1:
-        return words[0]
-    if len(words) == 3:
-        return pose(*(float(word) for word in words))
+    with contextlib.suppress(ValueError):
+        if all("=" in word for word in words):
+            return {joint: float(position) for joint, _, position in (word.partition("=") for word in words)}
+        if len(words) == 1:
+            return words[0]
+        if len(words) == 3:
+            return pose(*(float(word) for word in words))
     raise ValueError(f"target must be {TARGET_HELP}, not {' '.join(words)}")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from armbridge_client.connection import CALL_TIMEOUT_S, Connection
 from armbridge_client.errors import RequestRefused
@@ -31,6 +32,7 @@ from armbridge_client.messages import (
     SolidPrimitive,
     TriggerRequest,
 )
+from armbridge_client.wire import Service
 
 # Values of moveit_msgs/CollisionObject, shape_msgs/SolidPrimitive and moveit_msgs/PlanningSceneComponents.
 ADD, REMOVE, BOX, SPHERE, CYLINDER = 0, 1, 1, 2, 3
@@ -148,7 +150,7 @@ class AsyncScene:
         """Return the names of the saved scenes."""
         return (await self._connection.call("/arm/scenes/list", ListScenesRequest())).names
 
-    async def _carry_out_in_physics(self, service: str, request: SetBodyRequest | TriggerRequest) -> None:
+    async def _carry_out_in_physics(self, service: str, request: Service[Any]) -> None:
         try:
             await self._connection.carry_out(service, request)
         except RequestRefused as error:

@@ -403,13 +403,18 @@ class Connection:
                 raise NotAuthenticated(f"{url}: {sentence}") from error
             raise NotArmbridge(f"{url}: {sentence}") from error
         except ssl.SSLError as error:
-            raise ConnectError(f"{url}: TLS: {error}; pass tls= for a certificate of your own") from error
+            remedy = "pass tls= for a certificate of your own"
+            if error.reason == "WRONG_VERSION_NUMBER":
+                remedy = "the server has no certificate: use ws://"
+            raise ConnectError(f"{url}: TLS: {error}; {remedy}") from error
         except (InvalidURI, ValueError) as error:
             raise ConnectError(
                 f"{url}: must be ws://HOST:PORT or wss://HOST:PORT, as in ws://127.0.0.1:9090"
             ) from error
         except (InvalidHandshake, EOFError) as error:
-            raise NotArmbridge(f"{url}: the server does not speak WebSocket: {error}") from error
+            raise NotArmbridge(
+                f"{url}: the server does not speak WebSocket, or with TLS alone (wss://): {error}"
+            ) from error
         except OSError as error:
             raise ServerUnreachable(f"no server answers at {url}: start one with armbridge serve ({error})") from error
         try:

@@ -24,7 +24,7 @@ from tests.helpers.programs import UV, environment_with, run
         (["stop"], 0, "the arm does not move\n"),
         (["move", "redy"], 1, "INVALID_GOAL_CONSTRAINTS (-16): there is no named target 'redy'"),
         (["move", "1", "2"], 1, "target must be a name (ready), a position"),
-        (["move", "elbow_flex=far"], 1, "could not convert string to float: 'far'"),
+        (["move", "elbow_flex=far"], 1, "target must be a name (ready), a position"),
         (["state", "--arm", "left"], 1, "the server has no arm 'left'; its arms: one, without a name"),
         (["--arm", "left", "state"], 1, "the server has no arm 'left'; its arms: one, without a name"),
     ],
@@ -47,6 +47,13 @@ def test_the_state_is_printed(server: RunningServer, capsys: pytest.CaptureFixtu
 def test_without_a_server_a_command_ends_with_1(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--url", f"ws://127.0.0.1:{free_port()}", "state"]) == 1
     assert capsys.readouterr().err.startswith("no server answers")
+
+
+def test_tls_at_a_server_without_a_certificate_has_a_remedy(
+    server: RunningServer, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--url", server.url.replace("ws:", "wss:"), "state"]) == 1
+    assert "; the server has no certificate: use ws://" in capsys.readouterr().err
 
 
 def test_watching_ends_by_ctrl_c(server: RunningServer) -> None:

@@ -26,6 +26,11 @@ def tree(text: str, limits: dict[str, JointLimits] | None = None):
     return read_urdf(text, "URDF", limits or {})
 
 
+def test_a_joint_that_is_fixed_needs_no_direction() -> None:
+    fixed = '<joint name="base" type="fixed"><parent link="palm"/><child link="more"/><axis xyz="0 0 0"/></joint>'
+    assert "base" in tree(HAND.replace("</robot>", f'<link name="more"/>{fixed}</robot>')).joints
+
+
 def urdf_refusal(text: str) -> str:
     with pytest.raises(DescriptionError) as refused:
         tree(text)

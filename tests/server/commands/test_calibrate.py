@@ -134,7 +134,8 @@ def test_an_arm_is_neither_relaxed_nor_calibrated_without_a_yes_a_sweep_all_serv
     emulator.command(offline=missing)
     answer = armbridge("calibrate", str(tmp_path / name), *options, answers=answers)
     assert answer.returncode == ExitCode.FAILED
-    assert answer.stderr.count(said) == 1
+    assert said in answer.stderr
+    assert answer.stderr.count("the arm was not relaxed") <= 1
     assert any(words in answer.stderr for words in ("relaxing", "torque is off")) is bool(options)
     assert (tmp_path / "mine.json").read_text() == "mine"
     assert not (tmp_path / "arm.json").exists()

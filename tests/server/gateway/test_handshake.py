@@ -2,6 +2,7 @@
 
 from http import HTTPStatus
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from websockets.http11 import Request
@@ -92,6 +93,11 @@ def test_a_request_with_other_bytes_in_it_is_read_alike_or_not_at_all(data: st.D
     place = data.draw(st.integers(0, len(whole)))
     length = data.draw(st.integers(0, 3))
     assert_like_websockets(whole[:place] + other + whole[place + length :])
+
+
+def test_a_client_that_begins_tls_is_answered_at_once() -> None:
+    with pytest.raises(RequestError, match="the client speaks wss:// or https://, and here is ws:// and http://"):
+        read_request(b"\x16\x03\x01\x02\x00")
 
 
 def test_a_request_as_clients_send_it_is_read_up_to_its_body() -> None:

@@ -248,6 +248,13 @@ async def test_a_recording_without_a_place_or_beside_another_does_not_begin(less
     assert "is being recorded" in next(answer["message"] for answer in both if not answer["success"])
 
 
+async def test_a_recording_that_could_not_be_saved_does_not_begin(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    lesson = Lesson(tmp_path / "file")
+    assert "the motion 'wave' cannot be recorded: " in await lesson.refused("begin", name="wave")
+    assert not any(state["recording"] for state in lesson.states)
+
+
 async def test_a_recording_that_is_discarded_or_without_a_motion_leaves_nothing(lesson: Lesson) -> None:
     await lesson.begin()
     assert lesson.teaching.observes_states

@@ -250,17 +250,14 @@ class Broadphase:
         for index, shape in enumerate(self._shapes[:moving]):
             first.addGeometryObject(shape)
             others.geometryObjects[index].parentJoint, others.geometryObjects[index].placement = 0, away
-        first.addGeometryObject(pin.GeometryObject("away", 0, away, coal.Sphere(0.0)))
+        first.addGeometryObject(pin.GeometryObject("away", 0, 0, away.inverse(), coal.Sphere(1.0)))
         # A manager widens boxes by half of the margins of their pairs: those of the first shapes alone, by all of it.
         first.setCollisionPairs(np.arange(moving + 1) == np.full((moving + 1, 1), moving), True)
-        first_data, others_data = first.createData(), others.createData()
-        for request in first_data.collisionRequests:
+        halves = (first, first.createData()), (others, others.createData())
+        for request in halves[0][1].collisionRequests:
             request.security_margin = 2.0 * (CONTACT_M + self._apart_m.max(initial=0.0))
-        return (self._boxes(first, first_data), first, first_data), (
-            self._boxes(others, others_data),
-            others,
-            others_data,
-        )
+        of_first, of_others = ((self._boxes(*half), *half) for half in halves)
+        return of_first, of_others
 
     def _boxes(self, geometry: pin.GeometryModel, data: pin.GeometryData) -> Manager:
         # Shapes that never were anywhere have boxes of garbage, which trees refuse.

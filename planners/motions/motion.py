@@ -325,12 +325,13 @@ def smooth(
         first, last = ends = np.rint(shares * curve.duration_ticks).astype(np.int64).reshape(2, -1)
         (p0, p1), (v0, v1) = (each.reshape(2, len(first), -1) for each in curve.at(ends.ravel())[:2])
         ticks = whole_ticks(least_time_s(p0, v0, p1, v1, solved_for))
-        ways = Ways(p0, v0, p1, v1, ticks, limits)
-        gains = np.where(ways.possible, last - first - ticks, 0)
+        gains = last - first - ticks
         best = np.argsort(-gains.reshape(PARTS), axis=1, kind="stable")[:, :TRIES_A_ROUND] + PARTS[1] * ROUNDS
         best = best[gains[best] >= LEAST_GAIN_TICKS]
-        looks = zip(best.tolist(), ways.places(best, FIRST_LOOKS), strict=True)
-        pieces = ((i, ways.curve(i)) for i, points in looks if not should_stop() and all(map(free, points)))
+        ways = Ways(p0[best], v0[best], p1[best], v1[best], ticks[best], limits)
+        best, kept = best[ways.possible], np.flatnonzero(ways.possible)
+        looks = zip(best.tolist(), kept.tolist(), ways.places(kept, FIRST_LOOKS), strict=True)
+        pieces = ((i, ways.curve(k)) for i, k, points in looks if not should_stop() and all(map(free, points)))
         i, piece = next(((i, piece) for i, piece in pieces if along(piece)), (0, None))
         if piece is None:
             break

@@ -93,7 +93,8 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
     sources: list[_Source] = []
     for path in options.recordings:
         samples = read_samples(path, registry)
-        joints = joints or samples.joints[_state_topic(samples, options)][0].names
+        # One of several arms may have connected after the first message.
+        joints = joints or max((each.names for each in samples.joints[_state_topic(samples, options)]), key=len)
         source = _source(samples, joints, options, problems)
         if sources and source.cameras != sources[0].cameras:
             wanted, found = (", ".join(each.cameras.values()) or "none" for each in (sources[0], source))
@@ -236,7 +237,7 @@ def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
 def _in_units(frames: EpisodeFrames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> EpisodeFrames:
     if options.units == "rad":
         return frames
-    ranges, zeros_rad = samples.ranges, samples.zeros_rad
+    ranges, zeros_rad = samples.ranges, samples.zeros_rad(joints)
     missing = [name for name in joints if is_gripper(name) and name not in ranges]
     if missing:
         needed = f"the range of {', '.join(missing)}, as on /arm/joint_limits, which was not recorded"
@@ -257,11 +258,11 @@ def _arm_of(sources: Sequence[_Source], joints: Sequence[str], options: ExportOp
             "calibration": hashlib.sha256(calibrated.encode()).hexdigest()[:12] if calibrated else "",
             "joints": {
                 name: {
-                    "zero_rad": samples.zeros_rad[name],
+                    "zero_rad": zero_rad,
                     "range_rad": samples.ranges.get(name),
                     "limits_rad": samples.limits.get(name),
                 }
-                for name in joints
+                for name, zero_rad in samples.zeros_rad(joints).items()
             },
         }
         if found and options.units == "lerobot" and found != arm:

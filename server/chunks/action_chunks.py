@@ -305,13 +305,8 @@ class ActionChunks:
 
     def _leave(self, client: Node) -> None:
         """Brake on the path of a chunk whose client has left, if it takes its goals along."""
-        followed, reason = self._followed, f"{client} has left"
-        if not client.takes_goals_along or followed is None or followed.publisher is not client:
-            return
-        self._queue.cancel(followed.number, reason)
-        if self._gripper is not None:
-            # Its fingers may be on their way when the arm has come to its last target.
-            self._gripper.end(reason)
+        if client.takes_goals_along and self._followed is not None and self._followed.publisher is client:
+            self._brake(self._followed, f"{client} has left")
 
     async def close(self) -> None:
         if self._gripper is not None:
@@ -407,13 +402,15 @@ class ActionChunks:
     def _halt(self, phase: PolicyPhase, message: str) -> None:
         """Brake on the path of the chunk that is followed, and hold; another client may take control."""
         self._show(phase, message)
-        if self._gripper is not None:
-            # Its fingers may be on their way when the arm has come to its last target.
-            self._gripper.end(message)
         if self._followed is not None:
             self._leave_control(self._followed.publisher)
-            if not self._followed.over:
-                self._queue.cancel(self._followed.number, message)
+            self._brake(self._followed, message)
+
+    def _brake(self, followed: _Followed, reason: str) -> None:
+        self._queue.cancel(followed.number, reason)
+        if self._gripper is not None:
+            # Its fingers may be on their way when the arm has come to its last target.
+            self._gripper.end(reason)
 
     def _leave_control(self, client: object) -> None:
         if isinstance(client, Node):
@@ -481,9 +478,7 @@ class ActionChunks:
         names = tuple(name for name in chunk.targets.joint_names if name not in self._fingers)
         group = smallest_group(self._robot, names)
         if not names or group is None:
-            raise invalid_plan(
-                f"trajectory.joint_names {list(names)} are not joints of one group, beside the gripper's"
-            )
+            raise invalid_plan(f"trajectory.joint_names {list(names)} must be of one group, beside the gripper's")
         targets = chunk.targets.of_joints(names)
         if former is not None and former.joint_names != names:
             former = None

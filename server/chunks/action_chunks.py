@@ -9,6 +9,7 @@ import functools
 import logging
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -62,6 +63,9 @@ CHUNK_LIMITS = ListLimits({"trajectory_msgs/msg/JointTrajectory.points": MAX_POI
 
 # A target may be so far from where the arm will be at its time: at 2 rad/s and 10 Hz targets are 0.2 rad apart [rad].
 MAX_JUMP_RAD = 0.3
+
+# Distance of the target that is offered in place of one further away: in motion the arm is elsewhere by then [rad].
+NEAREST_RAD = 0.25
 
 # A target so far beyond a joint's limits is moved to the limit; the chunk ends before one further away [rad].
 MOVED_TO_LIMIT_RAD = 0.1
@@ -144,13 +148,14 @@ class ChunkMotion:
 
     Attributes:
         made: latest motion that was made, and the time of its start [s]; None before the first.
+        joints: joints of the group that it moves.
         end: index of the chunk's first target that is not followed, and the reason; None where all are.
         until_s: monotonic time of the last target that is followed [s].
     """
 
     def __init__(self, chunk: Chunk, targets: Targets, group: Group, robot: RobotModel, speed_limit: float) -> None:
         self.chunk, self._targets, self._robot = chunk, targets, robot
-        self._joints, self._bounds = group.joints, JointBounds.of(robot, group.joints)
+        self.joints, self._bounds = group.joints, JointBounds.of(robot, group.joints)
         self._limits = motion_limits(robot, group.joints, speed_limit)
         self._begins_s = 0.0
         self._cuts = list(CUTS_S)
@@ -169,20 +174,26 @@ class ChunkMotion:
         if self.made is None:
             return self.chunk.moved_rad
         motion, at_s = self.made
-        names = tuple(name for name in self._joints if name in self.chunk.targets.joint_names)
+        names = tuple(name for name in self.joints if name in self.chunk.targets.joint_names)
         away_rad = deviation_rad(self.chunk.targets.of_joints(names), motion.of_joints(names), at_s)
         return max(self.chunk.moved_rad, float(away_rad.max(initial=0.0)))
 
+    def first_after(self, at_s: float) -> int:
+        """Return the index of the chunk's first target after a time [s]; -1 where there is none."""
+        times_s = self.chunk.targets.time_s
+        return int(np.searchsorted(times_s, at_s, side="right")) if at_s < times_s[-1] else -1
+
     @property
     def motion(self) -> ExternalTrajectory:
-        return ExternalTrajectory(self._make, frozenset(self._joints), cut=self._cut)
+        return ExternalTrajectory(self._make, frozenset(self.joints), cut=self._cut)
 
     def _make(self, held_rad: Positions, at_s: float, point: SplicePoint | None) -> Trajectory:
-        start = start_of(self._joints, held_rad, point)
+        start = start_of(self.joints, held_rad, point)
         if self.until_s <= at_s:
-            raise invalid_plan(f"the last target was due {at_s - self.until_s:.3g} s ago")
+            late = f"the last target was due {at_s - self.until_s:.3g} s ago"
+            raise invalid_plan(late if self.end is None else self.end[1])
         targets = self._of_all_joints(start[0])
-        check_jump(targets, dict(zip(self._joints, start[0].tolist(), strict=True)), at_s, self._robot)
+        check_jump(targets, dict(zip(self.joints, start[0].tolist(), strict=True)), at_s, self._robot)
         # A chunk that begins at rest has its history where the arm stands.
         if point is None:
             later = targets.time_s > at_s
@@ -192,7 +203,7 @@ class ChunkMotion:
                 positions_rad=np.vstack((start[0], targets.positions_rad[later])),
             )
         motion = follow(targets, start, at_s, self._limits)
-        if reason := refusal(motion, self._joints, self._bounds, start[0], in_motion=True):
+        if reason := refusal(motion, self.joints, self._bounds, start[0], in_motion=True):
             raise invalid_plan(reason)
         self._begins_s = at_s - (0.0 if point is None else point.lead.duration_s)
         self.made = motion, at_s
@@ -205,9 +216,9 @@ class ChunkMotion:
             targets.positions_rad[:, targets.joint_names.index(name)]
             if name in targets.joint_names
             else np.full(len(targets.time_s), start_rad[index])
-            for index, name in enumerate(self._joints)
+            for index, name in enumerate(self.joints)
         ]
-        return Targets(self._joints, targets.time_s, np.stack(columns, axis=-1))
+        return Targets(self.joints, targets.time_s, np.stack(columns, axis=-1))
 
     def _cut(self, failure: PlanningFailure) -> ExternalTrajectory | None:
         """Return the motion that ends before a contact; None where the failure is another, or no target is left."""
@@ -216,14 +227,15 @@ class ChunkMotion:
         # A later attempt may find the same contact a little earlier.
         contact_s = self._begins_s + failure.details["contact_s"]
         self.until_s = min(self.until_s, contact_s) - self._cuts.pop(0)
-        self.end = int(np.searchsorted(self.chunk.targets.time_s, self.until_s, side="right")), failure.message
+        self.end = self.first_after(self.until_s), failure.message
         return self.motion if self.until_s > self._begins_s else None
 
 
 def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: RobotModel) -> None:
     """Refuse targets that are far from where the joints are at a time."""
     wanted = targets.at(np.array([max(at_s, float(targets.time_s[0]))]))[0]
-    away = np.array([abs(value - present_rad[name]) for name, value in zip(targets.joint_names, wanted, strict=True)])
+    present = np.array([present_rad[name] for name in targets.joint_names])
+    away = np.abs(wanted - present)
     worst = int(np.argmax(away))
     if away[worst] > MAX_JUMP_RAD:
         name = targets.joint_names[worst]
@@ -232,7 +244,8 @@ def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: Rob
             f"the first target takes joint {name} to {wanted[worst]:.3f} {unit}, {away[worst]:.2f} {unit} from where "
             f"it is (limit {MAX_JUMP_RAD} {unit}): move the arm there by a goal first"
         )
-        raise invalid_plan(text)
+        nearest = present + np.clip(wanted - present, -NEAREST_RAD, NEAREST_RAD)
+        raise invalid_plan(text, nearest_rad=dict(zip(targets.joint_names, nearest.tolist(), strict=True)))
 
 
 class PolicyPhase(StrEnum):
@@ -278,6 +291,8 @@ class ActionChunks:
         node.subscribe(NAME, TYPE, self._take, limits=CHUNK_LIMITS, rule=GOAL)
         # Times of the last chunk that was followed and of the last resumption [s]; epoch of the policy's last stop.
         self._heard_s, self._resumed_s, self._stopped = -math.inf, -math.inf, 0
+        # The last stick or leader, and if it moves the arm still.
+        self._hand: tuple[str, Callable[[], bool]] | None = None
         self._phase, self._message = PolicyPhase.IDLE, ""
         node.advertise(STATE, STATE_TYPE, latch=True)
         self._show(PolicyPhase.IDLE, "no chunk is followed")
@@ -289,13 +304,8 @@ class ActionChunks:
 
     def _leave(self, client: Node) -> None:
         """Brake on the path of a chunk whose client has left, if it takes its goals along."""
-        followed, reason = self._followed, f"{client} has left"
-        if not client.takes_goals_along or followed is None or followed.publisher is not client:
-            return
-        self._queue.cancel(followed.number, reason)
-        if self._gripper is not None:
-            # Its fingers may be on their way when the arm has come to its last target.
-            self._gripper.end(reason)
+        if client.takes_goals_along and self._followed is not None and self._followed.publisher is client:
+            self._brake(self._followed, f"{client} has left")
 
     async def close(self) -> None:
         if self._gripper is not None:
@@ -325,6 +335,8 @@ class ActionChunks:
         """Queue the motion of a chunk; return the number of its goal, or raise RefusedError."""
         now_s, former = self._clock(), self._followed
         self._stream.check(max(self._arm.last_stop, self._stopped))
+        if self._hand is not None and self._hand[1]():
+            self._halt(PolicyPhase.TAKEN_OVER, f"{self._hand[0]} has taken over")
         if self._phase in (PolicyPhase.PAUSED, PolicyPhase.TAKEN_OVER):
             # Its request has taken control from nobody.
             self._leave_control(publisher)
@@ -363,8 +375,9 @@ class ActionChunks:
 
     # Pause, take-over and stop.
 
-    def _take_over(self, hand: str) -> None:
-        """Give way to a person, unless no policy moves the arm."""
+    def _take_over(self, hand: str, moves: Callable[[], bool]) -> None:
+        """Give way to a person; a policy that has been silent for long does so with its next chunk."""
+        self._hand = hand, moves
         recent = self._clock() - self._heard_s <= PAUSE_S
         if self._phase is PolicyPhase.PAUSED or (self._phase is not PolicyPhase.TAKEN_OVER and recent):
             self._halt(PolicyPhase.TAKEN_OVER, f"{hand} has taken over")
@@ -376,7 +389,7 @@ class ActionChunks:
 
     def _resume(self, call: Call) -> None:
         self._leave_control(call.caller)
-        self._resumed_s = self._clock()
+        self._resumed_s, self._hand = self._clock(), None
         self._show(PolicyPhase.IDLE, "the next chunk is followed")
         call.succeed({"success": True, "message": self._message})
 
@@ -388,13 +401,15 @@ class ActionChunks:
     def _halt(self, phase: PolicyPhase, message: str) -> None:
         """Brake on the path of the chunk that is followed, and hold; another client may take control."""
         self._show(phase, message)
-        if self._gripper is not None:
-            # Its fingers may be on their way when the arm has come to its last target.
-            self._gripper.end(message)
         if self._followed is not None:
             self._leave_control(self._followed.publisher)
-            if not self._followed.over:
-                self._queue.cancel(self._followed.number, message)
+            self._brake(self._followed, message)
+
+    def _brake(self, followed: _Followed, reason: str) -> None:
+        self._queue.cancel(followed.number, reason)
+        if self._gripper is not None:
+            # Its fingers may be on their way when the arm has come to its last target.
+            self._gripper.end(reason)
 
     def _leave_control(self, client: object) -> None:
         if isinstance(client, Node):
@@ -425,7 +440,7 @@ class ActionChunks:
             with arrived_in(followed.epoch):
                 self._gripper.start()
         self._show(PolicyPhase.FOLLOWING, f"{followed.publisher} moves the arm")
-        answer = self._answer(motion, MoveItErrorCode.SUCCESS, begun_message(motion))
+        answer = self._answer(followed, Answer(MoveItErrorCode.SUCCESS, begun_message(motion)))
         self._publish(answer)
         if followed.goal is not None:
             followed.goal.feedback({"answer": answer})
@@ -436,7 +451,7 @@ class ActionChunks:
         if joined and followed.begun_until_s > 0.0 and followed.goal is None:
             # It has its answer, and the next chunk waits.
             return
-        end = self._answer(followed.motion, answer.code, answer.message)
+        end = self._answer(followed, answer)
         if answer.code is not MoveItErrorCode.SUCCESS and not joined and self._gripper is not None:
             # The arm holds, and so does its gripper.
             self._gripper.end(answer.message)
@@ -462,33 +477,40 @@ class ActionChunks:
         names = tuple(name for name in chunk.targets.joint_names if name not in self._fingers)
         group = smallest_group(self._robot, names)
         if not names or group is None:
-            raise invalid_plan(
-                f"trajectory.joint_names {list(names)} are not joints of one group, beside the gripper's"
-            )
-        targets, present_rad = chunk.targets.of_joints(names), current.positions_rad()
-        if former is not None and former.joint_names == names:
-            present_rad = dict(zip(names, former.at(np.array([now_s]))[0].tolist(), strict=True))
-        else:
+            raise invalid_plan(f"trajectory.joint_names {list(names)} must be of one group, beside the gripper's")
+        targets = chunk.targets.of_joints(names)
+        if former is not None and former.joint_names != names:
             former = None
-        if present_rad is not None:
+        # Not from the former targets: below a speed limit the arm may be far behind them.
+        if (present_rad := current.positions_rad()) is not None:
             check_jump(targets, present_rad, now_s, self._robot)
         field = "the time to the last target"
         self._planning.time_limits.check_duration(targets.end_s - now_s, field, MoveItErrorCode.INVALID_MOTION_PLAN)
         targets = blended(former, targets, chunk.blend, chunk.weight, now_s)
         return ChunkMotion(chunk, targets, group, self._robot, current.speed_limit(group.joints))
 
-    def _answer(self, motion: ChunkMotion, code: MoveItErrorCode, message: str) -> Message:
-        until_s = time.time() + motion.until_s - self._clock() if motion.made else 0.0
-        made = None if motion.end is None or motion.made is None else motion.made[0]
+    def _answer(self, followed: _Followed, answer: Answer) -> Message:
+        """Return the answer to a chunk: how far it is followed, or that it ends now where the arm holds."""
+        motion, now_s = followed.motion, self._clock()
+        until_s, index, nearest = motion.until_s, -1 if motion.end is None else motion.end[0], {}
+        if answer.code is MoveItErrorCode.SUCCESS:
+            if motion.end is not None and motion.made is not None:
+                nearest = dict(zip(motion.made[0].joint_names, motion.made[0].positions_rad[-1].tolist(), strict=True))
+        else:
+            until_s = min(until_s, now_s) if followed.begun_until_s > 0.0 else -math.inf
+            index = motion.first_after(until_s)
+            held_rad = self._planning.current.positions_rad()
+            if held_rad is not None and self._followed is followed:
+                nearest = answer.details.get("nearest_rad") or {name: held_rad[name] for name in motion.joints}
         return {
             "id": motion.chunk.chunk_id,
-            "error_code": error_code(code),
-            "message": message,
-            "followed_until": Stamp.from_seconds(until_s).as_message(),
+            "error_code": error_code(answer.code),
+            "message": answer.message,
+            "followed_until": Stamp.from_seconds(max(time.time() + until_s - now_s, 0.0)).as_message(),
             "change": motion.change_rad,
-            "refused_from": -1 if motion.end is None else motion.end[0],
-            "joint_names": [] if made is None else list(made.joint_names),
-            "nearest": [] if made is None else made.positions_rad[-1].tolist(),
+            "refused_from": index,
+            "joint_names": list(nearest),
+            "nearest": list(nearest.values()),
         }
 
     def _publish(self, answer: Message) -> None:
@@ -506,4 +528,6 @@ def begun_message(motion: ChunkMotion) -> str:
 
 def refused_answer(message: Message, error: RefusedError) -> Message:
     """Return the answer to a chunk that nothing of is followed."""
-    return {"id": message["id"], "error_code": error_code(error.failure.code), "message": error.failure.message}
+    failure, nearest = error.failure, error.failure.details.get("nearest_rad", {})
+    answer = {"id": message["id"], "error_code": error_code(failure.code), "message": failure.message}
+    return {**answer, "joint_names": list(nearest), "nearest": list(nearest.values())}

@@ -83,7 +83,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
     path, problems = options.recording, list[str]()
     samples = read_samples(path, registry)
     state_topic = _state_topic(samples, options)
-    joints = samples.joints[state_topic][0].names
+    joints = _joints_of(samples, state_topic)
     topics = camera_keys(samples.images) if options.video else {}
     if topics and find_spec("av") is None:
         raise ExportError("videos need av: pip install 'armbridge[datasets]', or --no-video")
@@ -124,7 +124,7 @@ def _episodes_of(
     samples: Samples, state_topic: str, cameras: Mapping[str, str], options: ExportOptions, problems: list[str]
 ) -> list[tuple[EpisodeFrames, str]]:
     """Return the frames of episodes, and the name of their actions; ``problems`` gets the sentences about others."""
-    joints = samples.joints[state_topic][0].names
+    joints = _joints_of(samples, state_topic)
     states_s, states = series(samples.joints[state_topic], joints)
     if not states_s.size:
         raise ExportError(f"{samples.path}: {state_topic} must have the joints {', '.join(joints)}")
@@ -156,6 +156,11 @@ def _episodes_of(
             at_s = zero_s + frames.start_s + np.arange(frames.count) / options.fps
             found.append((replace(frames, interventions=interventions(samples, at_s)), actions_of))
     return found
+
+
+def _joints_of(samples: Samples, state_topic: str) -> tuple[str, ...]:
+    # One of several arms may have connected after the first message.
+    return max((each.names for each in samples.joints[state_topic]), key=len)
 
 
 def _state_topic(samples: Samples, options: ExportOptions) -> str:
@@ -223,7 +228,7 @@ def _controllers(samples: Samples, joints: Sequence[str]) -> list[str]:
 def _in_units(frames: EpisodeFrames, joints: Sequence[str], samples: Samples, options: ExportOptions) -> EpisodeFrames:
     if options.units == "rad":
         return frames
-    ranges, zeros_rad = samples.ranges, samples.zeros_rad
+    ranges, zeros_rad = samples.ranges, samples.zeros_rad(joints)
     missing = [name for name in joints if is_gripper(name) and name not in ranges]
     if missing:
         needed = f"the range of {', '.join(missing)}, as on /arm/joint_limits, which was not recorded"
@@ -241,11 +246,11 @@ def _arm_of(samples: Samples, joints: Sequence[str], options: ExportOptions) -> 
         "calibration": hashlib.sha256(calibrated.encode()).hexdigest()[:12] if calibrated else "",
         "joints": {
             name: {
-                "zero_rad": samples.zeros_rad[name],
+                "zero_rad": zero_rad,
                 "range_rad": samples.ranges.get(name),
                 "limits_rad": samples.limits.get(name),
             }
-            for name in joints
+            for name, zero_rad in samples.zeros_rad(joints).items()
         },
     }
 

@@ -59,9 +59,10 @@ class JointSample(NamedTuple):
 
 @dataclass
 class Samples:
-    """Samples of a recording: images, marks and phases of a policy by time [s since the epoch], limits [rad, m].
+    """Samples of a recording: images and marks by time [s since the epoch], limits [rad, m].
 
     Attributes:
+        phases: of the policy of each arm, by its topic and time.
         left_out: topics of images that are no pictures, such as depths, with their encodings.
     """
 
@@ -70,7 +71,7 @@ class Samples:
     types: dict[str, str] = field(default_factory=dict)
     images: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
     marks: list[tuple[float, str]] = field(default_factory=list)
-    phases: list[tuple[float, str]] = field(default_factory=list)
+    phases: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
     robot: str = ""
     limits: dict[str, tuple[float, float]] = field(default_factory=dict)
     calibrated: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -82,10 +83,8 @@ class Samples:
         """Range of each joint, calibrated or else its limits [rad, m]."""
         return self.limits | self.calibrated
 
-    @property
-    def zeros_rad(self) -> dict[str, float]:
-        """Position from which lerobot counts each joint's degrees: the middle of its calibrated range, else 0."""
-        joints = {name for samples in self.joints.values() for name in samples[0].names}
+    def zeros_rad(self, joints: Sequence[str]) -> dict[str, float]:
+        """Return from where lerobot counts each joint's degrees: the middle of its calibrated range, else 0."""
         return {name: sum(self.calibrated.get(name, (0.0, 0.0))) / 2.0 for name in joints}
 
 
@@ -126,7 +125,7 @@ def _take(samples: Samples, message: RecordedMessage, registry: Registry) -> int
         return 1
     if type_name == ARM_STATE and topic.endswith(POLICY_TOPIC):
         phases = [each["value"] for each in values["values"] if each["key"] == "phase"]
-        samples.phases += [(log_s, phase) for phase in phases]
+        samples.phases.setdefault(topic, []).extend((log_s, phase) for phase in phases)
     elif type_name == ARM_STATE and topic.endswith(ARM_STATE_TOPIC):
         if topic == ARM_STATE_TOPIC:
             samples.robot = values["hardware_id"]
@@ -171,13 +170,14 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
 
 
 def interventions(samples: Samples, at_s: Times) -> NDArray[np.bool_] | None:
-    """Return True for each time [s since the epoch] at which a person had taken over; None without a policy."""
-    if all(phase == PolicyPhase.IDLE for _, phase in samples.phases):
-        return None
-    began_s = [-np.inf, *(log_s for log_s, _ in samples.phases)]
-    taken_over = np.array([False, *(phase == PolicyPhase.TAKEN_OVER for _, phase in samples.phases)])
-    result: NDArray[np.bool_] = taken_over[np.searchsorted(began_s, at_s, side="right") - 1]
-    return result
+    """Return True for each time [s since the epoch] at which a person had an arm taken over; None without a policy."""
+    of_arms = [phases for phases in samples.phases.values() if any(phase != PolicyPhase.IDLE for _, phase in phases)]
+    result = np.zeros(len(at_s), dtype=np.bool_)
+    for phases in of_arms:
+        began_s = [-np.inf, *(log_s for log_s, _ in phases)]
+        taken_over = np.array([False, *(phase == PolicyPhase.TAKEN_OVER for _, phase in phases)])
+        result |= taken_over[np.searchsorted(began_s, at_s, side="right") - 1]
+    return result if of_arms else None
 
 
 def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:

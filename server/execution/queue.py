@@ -57,7 +57,7 @@ class GoalQueue:
         self._idle = asyncio.Event()
         self._idle.set()
         self._ids = map(str, itertools.count(1))
-        self._giving_way: list[tuple[Joints, Callable[[str], None]]] = []
+        self._giving_way: list[tuple[Joints, Callable[[str, Callable[[], bool]], None]]] = []
         self._started = self._closed = False
 
     def start(self) -> None:
@@ -93,15 +93,15 @@ class GoalQueue:
         last = max(ends_s, key=lambda goal: ends_s[goal], default=None)
         return None if last is None else RunningGoal(last.title, last.remaining_s, len(self._waiting))
 
-    def give_way(self, joints: Joints, end: Callable[[str], None]) -> None:
-        """Have ``end`` called with the name of a person's stick or leader that takes over any of some joints."""
+    def give_way(self, joints: Joints, end: Callable[[str, Callable[[], bool]], None]) -> None:
+        """Have ``end`` called as :meth:`take_over` is for a person's stick or leader of any of some joints."""
         self._giving_way.append((joints, end))
 
-    def take_over(self, joints: Joints, hand: str) -> None:
-        """End the goals of programs that give way to a person."""
+    def take_over(self, joints: Joints, hand: str, moves: Callable[[], bool]) -> None:
+        """End the goals of programs that give way to a person; ``moves`` is true for as long as the person moves."""
         for moved, end in self._giving_way:
             if not moved.isdisjoint(joints):
-                end(hand)
+                end(hand, moves)
 
     @property
     def active_count(self) -> int:

@@ -221,7 +221,11 @@ class Teleoperation(Feature):
     async def _begin(self, request: Message, following: _Following) -> str:
         follower, leader = following.follower, following.leader
         self._check_not_stopped(follower)
-        follower.context.queue.take_over(follower.context.joints, f"the leader {leader.name[:80]}")
+        follower.context.queue.take_over(
+            follower.context.joints,
+            f"the leader {leader.name[:80]}",
+            lambda: self._followings.get(follower.name) is following,
+        )
         # The way to the leader of a following that has just ended may brake.
         await self._wait(follower, BRAKING_S, lambda: self._in_use(follower))
         if leader.is_topic:

@@ -334,6 +334,16 @@ def test_a_dataset_of_an_arm_with_another_zero_is_refused_with_the_degrees(
         assert sentence in str(ask(process, "observe")["error"])
 
 
+def test_a_policy_that_was_trained_on_an_export_of_an_arm_with_another_zero_moves_nothing(
+    server: RunningServer, arm: Arm, tmp_path: Path
+) -> None:
+    root = exported_arm(tmp_path, arm, 0.5)
+    (root / "train_config.json").write_text(json.dumps({"dataset": {"root": str(root)}}))
+    command = [BIN / "armbridge-policy", *robot(server.port, with_camera=False), f"--policy={root}"]
+    done = run(*command, timeout_s=COMMAND_TIMEOUT_S, env=OFFLINE, cwd=tmp_path)
+    assert f"{root}: zero or range of shoulder_pan differ by 28.6 degrees" in done.stderr.splitlines()[-1]
+
+
 def test_a_dataset_of_an_arm_with_another_zero_is_converted(server: RunningServer, arm: Arm, tmp_path: Path) -> None:
     dataset = str(exported_arm(tmp_path, arm, 0.1))
     with scenario(server.port) as plain, scenario(server.port, "", dataset, "convert") as other:

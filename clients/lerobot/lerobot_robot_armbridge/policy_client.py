@@ -6,9 +6,11 @@ objects: connect only to a policy server that you trust.
 
 from __future__ import annotations
 
+import json
 import logging
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import draccus
 from lerobot.robots import RobotConfig, make_robot_from_config
@@ -18,18 +20,21 @@ from armbridge_client import ArmError, ControlledByOther, NotPermitted, RequestR
 from armbridge_client.arm import Chunks
 from armbridge_client.messages import DiagnosticStatus
 from lerobot_robot_armbridge.armbridge import Armbridge
+from lerobot_robot_armbridge.config_armbridge import ArmbridgeConfig
 from lerobot_robot_armbridge.link import Watch
 from lerobot_robot_armbridge.openpi import OpenPiOptions, OpenPiPolicy
 from lerobot_robot_armbridge.policies import LocalPolicy, Observation, Policy, PolicyError, ServedPolicy
+from lerobot_robot_armbridge.units import ARM_PATH
 
 log = logging.getLogger(__name__)
 
-# lerobot's functions that join actions, as blend and share of the new chunk.
+# lerobot's functions that join actions, and real-time chunking, as blend and share of the new chunk.
 BLENDS = {
     "latest_only": ("replace", 0.0),
     "average": ("ensemble", 0.5),
     "weighted_average": ("ensemble", 0.7),
     "conservative": ("ensemble", 0.3),
+    "real_time": ("real_time", 0.0),
 }
 
 # A first target that is further away is reached by a planned motion [rad].
@@ -38,6 +43,9 @@ START_SPEED = 0.3
 
 # The server follows no more points of a chunk.
 MAX_ACTIONS = 500
+
+# lerobot-train writes its options beside the policy.
+TRAINING_FILE = "train_config.json"
 
 # Phases in which the server refuses chunks, until the policy is resumed; they are looked at in this period [s].
 HELD = ("paused", "taken_over")
@@ -214,9 +222,20 @@ class PolicyRunner:
         return bool(far)
 
 
+def trained_on(policy: str) -> Path | None:
+    """Return the folder of the export that a policy was trained on by lerobot-train; None where it is not here."""
+    try:
+        root = json.loads((Path(policy) / TRAINING_FILE).read_text())["dataset"]["root"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return Path(root) if isinstance(root, str) and (Path(root) / ARM_PATH).is_file() else None
+
+
 def run(config: PolicyClientConfig) -> None:
     """Run a policy on the arm, until Ctrl-C, a stop or an error."""
     config.check()
+    if isinstance(config.robot, ArmbridgeConfig) and config.robot.dataset is None:
+        config.robot.dataset = trained_on(config.policy)
     robot = make_robot_from_config(config.robot)
     if not isinstance(robot, Armbridge):
         raise TypeError(f"robot.type: must be armbridge, not {config.robot.type}")

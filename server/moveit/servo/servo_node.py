@@ -18,7 +18,7 @@ from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from server.arrival import arrival_epoch, is_stopped
 from server.errors import RefusedError, ServiceError, UnsuccessfulError, invalid
 from server.execution.monitors import check_ready
-from server.execution.streams import Silence
+from server.execution.streams import STREAM_PAUSE_S, Silence
 from server.graph.permissions import STOPPING, SWITCHING
 from server.graph.topics import LocalNode
 from server.moveit.messages import Message
@@ -267,7 +267,9 @@ class ServoNode:
             if not command.zero:
                 if self._gate.has_expired(client, published.msg["header"]["stamp"], now_s):
                     raise invalid("the command has expired on its way")
-                self._queue.take_over(self._busy_joints, f"steering by {client}")
+                held_until_s = now_s + STREAM_PAUSE_S
+                hand = f"steering by {client}"
+                self._queue.take_over(self._busy_joints, hand, lambda: self._node.clock() < held_until_s)
             if busy := self._queue.busy(self._busy_joints):
                 raise invalid(busy)
             self._session.set_command(command, self._gate.timeout_s(client))

@@ -242,6 +242,19 @@ async def test_a_first_target_far_from_the_arm_is_refused_by_its_distance(policy
     assert f"0.50 rad from where it is (limit {MAX_JUMP_RAD} rad)" in policy.refusals[0]
     assert policy.codes == [MoveItErrorCode.INVALID_MOTION_PLAN]
     assert not np.diff(policy.arm_rad, axis=0).any()
+    # The nearest target that works is followed.
+    await policy.send(0.5, chunk([policy.answers[0]["nearest"]] * 15))
+    assert policy.answers[1]["refused_from"] == -1
+    assert policy.here_rad == pytest.approx(0.25, abs=0.01)
+
+
+async def test_a_policy_from_where_the_arm_is_goes_on_below_a_speed_limit_that_keeps_it_behind(policy: Policy) -> None:
+    policy.stage.call("/arm/set_speed_limit", speed_limit=0.05)
+    await asyncio.sleep(0.1)
+    for _ in range(8):
+        await policy.send(0.4, chunk(ramp(45, policy.here_rad + 1.5, policy.here_rad)))
+    assert policy.refusals == []
+    assert policy.here_rad > 0.3
 
 
 async def test_targets_a_little_beyond_a_limit_are_moved_to_it_and_the_answer_says_how_far(policy: Policy) -> None:
@@ -279,6 +292,33 @@ async def test_a_chunk_into_an_object_is_followed_as_far_as_it_is_free(policy: P
     assert 0.1 < stands_rad < ramp(60, 1.4)[answer["refused_from"], 0]
     assert answer["nearest"][0] == pytest.approx(stands_rad, abs=1e-5)
     policy.assert_within_limits()
+
+
+async def test_the_answer_to_a_chunk_of_which_nothing_is_free_has_where_the_arm_holds(policy: Policy) -> None:
+    policy.add_walls()
+    await policy.send(1.5, chunk(ramp()))
+    stands_rad = policy.arm_rad[-1]
+    # Each brings it nearer to the wall.
+    while policy.codes[-1] == MoveItErrorCode.SUCCESS:
+        stands_rad = policy.arm_rad[-1]
+        await policy.send(1.5, chunk(ramp(10, 0.25) + stands_rad))
+    refused = policy.answers[-1]
+    assert (refused["refused_from"], "wall" in refused["message"]) == (0, True)
+    np.testing.assert_allclose(refused["nearest"], stands_rad, atol=1e-6)
+    assert (policy.arm_rad[-1] == stands_rad).all()
+    await policy.send(0.5, chunk([refused["nearest"]] * 10))
+    assert policy.answers[-1]["refused_from"] == -1
+
+
+async def test_a_chunk_that_a_pause_ends_is_answered_with_where_the_arm_holds(policy: Policy) -> None:
+    await policy.send(0.5, chunk(ramp(60, 1.4)))
+    policy.stage.call(PAUSE)
+    await asyncio.sleep(1.0)
+    ended = policy.answers[-1]
+    assert ended["error_code"]["val"] == MoveItErrorCode.PREEMPTED
+    np.testing.assert_allclose(ended["nearest"], policy.arm_rad[-1], atol=1e-6)
+    # It braked from the path within 0.1 s.
+    assert 12 < ended["refused_from"] < 20
 
 
 async def test_a_chunk_from_where_the_arm_holds_before_an_object_is_followed(policy: Policy) -> None:
@@ -460,6 +500,25 @@ async def test_a_stick_at_rest_or_alone_takes_nothing_over(policy: Policy, strea
     await asyncio.sleep(0.5)
     await policy.send(0.4, chunk(ramp(24, policy.here_rad + 0.3, policy.here_rad)))
     assert policy.phase == PolicyPhase.FOLLOWING
+
+
+@pytest.mark.parametrize("hand", ["a stick", "a leader"])
+async def test_a_person_who_moves_the_arm_when_a_policy_s_first_chunk_comes_goes_on(policy: Policy, hand: str) -> None:
+    moving = asyncio.create_task(policy.jog(-0.3, 3.0) if hand == "a stick" else take_by_leader(policy))
+    await asyncio.sleep(1.0)
+    before_rad = policy.here_rad
+    for _ in range(2):
+        await policy.send(0.25, chunk(ramp(24, policy.here_rad + 0.3, policy.here_rad)))
+        assert policy.phase == PolicyPhase.TAKEN_OVER
+        assert "has taken over: the policy goes on after" in policy.refusals[-1]
+    moved_rad = policy.here_rad - before_rad
+    assert moved_rad == pytest.approx(-0.15 if hand == "a stick" else 0.0, abs=0.03)
+    # A resumption gives the arm to the policy, also from a leader that goes on to lead.
+    await asyncio.sleep(0.0 if hand == "a leader" else 2.0)
+    policy.stage.call(RESUME)
+    await policy.send(0.3, chunk(ramp(24, policy.here_rad + 0.3, policy.here_rad)))
+    assert policy.phase == PolicyPhase.FOLLOWING
+    moving.cancel()
 
 
 async def test_a_chunk_of_an_observation_from_before_the_resumption_is_refused(policy: Policy) -> None:

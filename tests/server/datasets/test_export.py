@@ -168,6 +168,12 @@ def test_a_recording_without_marks_is_one_episode_as_the_options_say(recorded: R
     assert rows(data, "meta/tasks.parquet")[0]["task"] == "wave"
 
 
+def test_a_joint_that_the_first_state_lacks_is_exported(recorded: Record, tmp_path: Path) -> None:
+    pan = entry("/joint_states", "sensor_msgs/JointState", {"name": [JOINTS[0]], "position": [0.0]}, 0.0)
+    exported(tmp_path / "data", recorded([pan, *states(1.0, 0.02)]))
+    assert info(tmp_path / "data")["features"]["action"]["names"] == ["shoulder_pan.pos", "gripper.pos"]
+
+
 LEADER = "/teleop/leader_joint_states"
 PAN, GRIPPER = (f"/{joint}_controller/controller_state" for joint in JOINTS)
 
@@ -352,9 +358,9 @@ def test_the_command_reports_its_work(recorded: Record, tmp_path: Path, capsys: 
     assert "exists already: name another folder" in capsys.readouterr().err
 
 
-def phase(phase: str, at_s: float) -> RecordedMessage:
+def phase(phase: str, at_s: float, topic: str = "/arm/chunks/state") -> RecordedMessage:
     """A state of the policy, as the server publishes it."""
-    return status("/arm/chunks/state", {"phase": phase, "client": "policy"}, at_s=at_s)
+    return status(topic, {"phase": phase, "client": "policy"}, at_s=at_s)
 
 
 def test_frames_in_which_a_person_has_taken_over_from_the_policy_are_marked(tmp_path: Path, recorded: Record) -> None:
@@ -366,6 +372,13 @@ def test_frames_in_which_a_person_has_taken_over_from_the_policy_are_marked(tmp_
     assert info(tmp_path / "data")["features"]["intervention"] == {"dtype": "bool", "shape": [1], "names": None}
     exported(tmp_path / "idle", idle, video=False)
     assert "intervention" not in info(tmp_path / "idle")["features"]
+
+
+def test_a_policy_of_another_arm_that_goes_on_ends_no_intervention(tmp_path: Path, recorded: Record) -> None:
+    left, right = (f"/{arm}/arm/chunks/state" for arm in ("left", "right"))
+    led = [phase("taken_over", 0.55, left), phase("following", 0.65, right), phase("idle", 1.05, left)]
+    exported(tmp_path / "data", recorded([*states(2.0), *led]), video=False)
+    assert np.flatnonzero(column(tmp_path / "data", "intervention")).tolist() == list(range(6, 11))
 
 
 def bag(folder: Path, storage: StoragePlugin, entries: Iterable[RecordedMessage]) -> Path:

@@ -123,7 +123,7 @@ def test_nothing_is_written_for_an_arm_with_a_mirrored_joint(armbridge, person, 
     [
         ("mine.json", (), "", [], "--overwrite"),
         ("arm.json", (), "n\n", [], "the arm was not relaxed"),
-        ("arm.json", ("--yes",), "\n\n", [], "did not meet both stops"),
+        ("arm.json", ("--yes",), "\n", [], "did not meet both stops"),
         ("arm.json", (), "", [2], "2 (shoulder_lift)"),
     ],
 )

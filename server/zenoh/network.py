@@ -219,7 +219,7 @@ class SharedThings(Generic[Wanted, Thing]):
         self._made: dict[str, tuple[Wanted, Thing]] = {}
 
     def follow(self, wanted: Mapping[str, Wanted]) -> None:
-        """Share the wanted things and no others; one that is wanted otherwise now is made again."""
+        """Share the wanted things and no others; a changed wish is a new thing."""
         for name, (former, thing) in list(self._made.items()):
             if wanted.get(name) != former:
                 del self._made[name]

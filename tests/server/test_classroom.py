@@ -51,7 +51,10 @@ def test_students_by_name_have_physics_and_the_others_none(tmp_path: Path, monke
     assert served == ["light", "physics", "light"]
 
 
-def test_a_second_classroom_leaves_the_folder_of_a_running_one_alone(tmp_path: Path) -> None:
+def test_a_second_classroom_leaves_the_folder_of_a_running_one_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.classroom.supervise", lambda _members: None)
     settings = Settings.model_validate({"server": {"port": free_ports(3)}})
     with files.locked(tmp_path / LIST_FILE), pytest.raises(files.FileLockedError, match="is in use by armbridge"):
         run_classroom(settings, 3, 2, tmp_path, [])

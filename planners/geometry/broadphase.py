@@ -56,10 +56,6 @@ class Nearest:
         """Point half-way between the two, shape (3,) [m]."""
         return np.asarray(self.point_m + 0.5 * self.distance_m * self.normal)
 
-    def transformed(self, place: pin.SE3) -> Nearest:
-        """Return the same points in the frame in which ``place`` is the present frame."""
-        return Nearest(self.distance_m, place.rotation @ self.point_m + place.translation, place.rotation @ self.normal)
-
 
 @dataclass(frozen=True)
 class NearPair:

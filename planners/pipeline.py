@@ -203,15 +203,8 @@ def answer_ik(
     checks.check_ik_question(robot, question)
     checks.check_start(robot, question.start_rad)
     group = robot.groups[question.group]
-    query = GoalQuery(
-        group,
-        collision.start(question.start_rad, group.joints),
-        question.constraints,
-        budget,
-        wanted=SOLUTIONS,
-        avoid_collisions=question.avoid_collisions,
-        accept_start=False,
-    )
+    start_q, avoid = collision.start(question.start_rad, group.joints), question.avoid_collisions
+    query = GoalQuery(group, start_q, question.constraints, budget, SOLUTIONS, avoid, accept_start=False)
     found = states.find(question.goal, query)
     if isinstance(found, PlanningFailure):
         return found

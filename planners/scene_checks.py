@@ -33,12 +33,8 @@ def check_scene(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
 def check_whole(scene: Scene, links: Collection[str]) -> PlanningFailure | None:
     """Check a scene apart from its shapes and poses; return the failure, or None. Quick, for many small changes."""
     objects = scene.all_objects()
-    return (
-        _check_names([scene_object.name for scene_object in objects], links)
-        or _check_links(scene, links)
-        or _check_count(objects)
-        or _check_thickness(scene)
-    )
+    names = [scene_object.name for scene_object in objects]
+    return _check_names(names, links) or _check_links(scene, links) or _check_count(objects) or _check_thickness(scene)
 
 
 def pose_fault(pose: Pose) -> str | None:

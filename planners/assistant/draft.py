@@ -61,10 +61,6 @@ class Tree:
             link = found[-1].parent
         return found[::-1]
 
-    def driven(self, joints: Sequence[Joint]) -> list[Joint]:
-        """Return the joints with a position of their own."""
-        return [joint for joint in joints if joint.movable]
-
     def links_below(self, link: str) -> Iterator[str]:
         """Yield a link and all that it carries."""
         yield link
@@ -95,14 +91,14 @@ def find_structure(tree: Tree, shaped: frozenset[str], base: str | None, tip: st
     else:
         hand = _find_hand(tree, start)
         tip = _find_tip(tree, hand, shaped)
-    arm = tree.driven(tree.chain(start, tip))
+    arm = [joint for joint in tree.chain(start, tip) if joint.movable]
     if len(arm) < MIN_ARM_JOINTS:
         raise AssistantError(
             f"the chain from {start!r} to {tip!r} has {len(arm)} movable joints, an arm has at least {MIN_ARM_JOINTS};"
             " name the arm's last link by --tip"
         )
     in_arm = {joint.name for joint in arm}
-    movable = tree.driven(list(tree.joints.values()))
+    movable = [joint for joint in tree.joints.values() if joint.movable]
     behind = [joint for link in tree.links_below(hand) for joint in movable if joint.parent == link]
     behind = [joint for joint in behind if joint.name not in in_arm]
     gripper = tuple(joint.name for joint in behind)
@@ -113,31 +109,20 @@ def find_structure(tree: Tree, shaped: frozenset[str], base: str | None, tip: st
 def _find_hand(tree: Tree, start: str) -> str:
     """Return the link at the end of the longest chain, fingers left out."""
     chains = [tree.chain(start, link) for link in tree.links_below(start) if tree.leaf(link)]
-    longest = max(chains, key=lambda chain: (len(tree.driven(chain)), len(chain)))
+    longest = max(chains, key=lambda chain: (sum(joint.movable for joint in chain), len(chain)))
     movable = [joint for joint in longest if joint.moves]
     if not movable:
         return start
-    for joint in movable:
-        if _carries_fingers(tree, joint):
-            return joint.parent
-    return movable[-1].child
+    return next((joint.parent for joint in movable if _carries_fingers(tree, joint)), movable[-1].child)
 
 
 def _carries_fingers(tree: Tree, joint: Joint) -> bool:
     """Tell whether a joint is the first one of a finger."""
-    longest = max(
-        sum(each.moves for each in tree.chain(joint.parent, link))
-        for link in tree.links_below(joint.child)
-        if tree.leaf(link)
-    )
-    if longest > MAX_FINGER_JOINTS:
+    chains = (tree.chain(joint.parent, link) for link in tree.links_below(joint.child) if tree.leaf(link))
+    if max(sum(each.moves for each in chain) for chain in chains) > MAX_FINGER_JOINTS:
         return False
-    siblings = [
-        each
-        for link in tree.fixed_below(joint.parent)
-        for each in tree.joints.values()
-        if each.parent == link and each.moves
-    ]
+    palm = set(tree.fixed_below(joint.parent))
+    siblings = [each for each in tree.joints.values() if each.moves and each.parent in palm]
     named = bool(FINGER_JOINT.search(joint.name) or FINGER_LINK.search(joint.child))
     follows = any(each.mimic is not None for each in siblings)
     return follows or named or (len(siblings) > 1 and joint.type == "prismatic")

@@ -264,20 +264,14 @@ def _out_of_reach(desired: pin.SE3, end_m: float) -> PathEnd:
 
 
 def _turned_away(turned_rad: float, tolerance_rad: float) -> PathEnd:
-    return PathEnd(
-        "orientation",
-        f"the tip would have to turn by {np.degrees(turned_rad):.1f} degrees from the orientation asked for,"
-        f" where {np.degrees(tolerance_rad):.1f} are tolerated",
-        {"deviation_rad": turned_rad, "tolerance_rad": tolerance_rad},
-    )
+    sentence = f"the tip would have to turn by {np.degrees(turned_rad):.1f} degrees from the orientation asked for,"
+    sentence += f" where {np.degrees(tolerance_rad):.1f} are tolerated"
+    return PathEnd("orientation", sentence, {"deviation_rad": turned_rad, "tolerance_rad": tolerance_rad})
 
 
 def _jump(joint: str, step_rad: float, step_m: float) -> PathEnd:
-    return PathEnd(
-        "jump",
-        f"joint {joint!r} would jump by {step_rad:.3g} rad within {1000.0 * step_m:.2g} mm of the path",
-        {"joint": joint, "step_rad": step_rad, "step_m": step_m},
-    )
+    sentence = f"joint {joint!r} would jump by {step_rad:.3g} rad within {1000.0 * step_m:.2g} mm of the path"
+    return PathEnd("jump", sentence, {"joint": joint, "step_rad": step_rad, "step_m": step_m})
 
 
 # Places in each span between two points at which the tip is measured: half-way, where a curve is furthest off.
@@ -343,11 +337,8 @@ def _halved(followed: FollowedPath, spans: NDArray[np.int64], path: TipPath, tra
     middle_m = 0.5 * (followed.along_m[spans] + followed.along_m[spans + 1])
     guesses = zip(middle_m, 0.5 * (followed.points[spans] + followed.points[spans + 1]), strict=True)
     points = np.array([tracker.follow(guess, path.at(length_m), 0.0) for length_m, guess in guesses])
-    return FollowedPath(
-        np.insert(followed.along_m, spans + 1, middle_m),
-        np.insert(followed.points, spans + 1, points, axis=0),
-        followed.ended,
-    )
+    along_m, all_points = np.insert(followed.along_m, spans + 1, middle_m), followed.points
+    return FollowedPath(along_m, np.insert(all_points, spans + 1, points, axis=0), followed.ended)
 
 
 STANDING_SHARE = 1e-3  # where the tip moves by less per length of the path it stands, and its speed limits nothing

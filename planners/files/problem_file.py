@@ -130,14 +130,14 @@ class SceneFields(BaseModel):
 
     def scene(self, version: int) -> scene.Scene:
         """Return the scene; no other scene has its version."""
+        objects = tuple(fields.object() for fields in self.objects)
+        held = ((each.object(), each.link, frozenset(each.touch_links)) for each in self.attached)
+        allowed = {frozenset((first, second)): may_touch for first, second, may_touch in self.allowed_contacts}
         return scene.Scene(
             version,
-            tuple(fields.object() for fields in self.objects),
-            tuple(
-                scene.AttachedObject(fields.object(), fields.link, frozenset(fields.touch_links))
-                for fields in self.attached
-            ),
-            {frozenset((first, second)): allowed for first, second, allowed in self.allowed_contacts},
+            objects,
+            tuple(scene.AttachedObject(*each) for each in held),
+            allowed,
             self.link_padding,
             self.link_scale,
         )

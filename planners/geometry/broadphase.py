@@ -56,10 +56,6 @@ class Nearest:
         """Point half-way between the two, shape (3,) [m]."""
         return np.asarray(self.point_m + 0.5 * self.distance_m * self.normal)
 
-    def transformed(self, place: pin.SE3) -> Nearest:
-        """Return the same points in the frame in which ``place`` is the present frame."""
-        return Nearest(self.distance_m, place.rotation @ self.point_m + place.translation, place.rotation @ self.normal)
-
 
 @dataclass(frozen=True)
 class NearPair:
@@ -251,7 +247,7 @@ class Broadphase:
             first.addGeometryObject(shape)
             others.geometryObjects[index].parentJoint, others.geometryObjects[index].placement = 0, away
         first.addGeometryObject(pin.GeometryObject("away", 0, 0, away.inverse(), coal.Sphere(1.0)))
-        # A manager widens boxes by half of the margins of their pairs: those of the first shapes alone, by all of it.
+        # A manager widens both boxes of a pair by half of its margin, here one of them by all of it.
         first.setCollisionPairs(np.arange(moving + 1) == np.full((moving + 1, 1), moving), True)
         halves = (first, first.createData()), (others, others.createData())
         for request in halves[0][1].collisionRequests:

@@ -117,12 +117,8 @@ def checked_pairs(
         )
 
     bodies = [*movers, *resting]
-    found = [
-        (i, j)
-        for i, first in enumerate(movers)
-        for j, second in enumerate(bodies[i + 1 :], i + 1)
-        if checked(first, second)
-    ]
+    pairs = ((i, j) for i in range(len(movers)) for j in range(i + 1, len(bodies)))
+    found = [(i, j) for i, j in pairs if checked(bodies[i], bodies[j])]
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 

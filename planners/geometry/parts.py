@@ -258,7 +258,8 @@ class PartPair:
             if distance_m < found.distance_m:
                 # Copied: the result's own arrays change with the next pair.
                 found = Nearest(distance_m, np.array(result.getNearestPoint1()), np.array(result.normal))
-        return found.transformed(self._at_first)
+        turn = self._at_first.rotation
+        return Nearest(found.distance_m, turn @ found.point_m + self._at_first.translation, turn @ found.normal)
 
     def encloses(self, by_first: bool, by_second: bool) -> bool:
         """Return true if a body of one is inside the surface of the other, as far as asked, where they do not touch."""

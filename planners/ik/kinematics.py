@@ -143,13 +143,13 @@ class _PointTask(_LinkTask):
         super().__init__(solver, condition, weight, self._position_task, name)
         self._model = solver.kinematics.wrapper.model
         self._frame = frame_of_link(self._model, name)
+        carrier = self._model.frames[frame_of_link(self._model, condition.link)]
+        self._joint, self._place = carrier.parentJoint, carrier.placement * pin.SE3(np.eye(3), condition.offset_m)
 
     def attach(self) -> None:
         """Place the frame on the link: other descents use the same one."""
-        carrier = self._model.frames[frame_of_link(self._model, self.condition.link)]
         frame = self._model.frames[self._frame]
-        frame.parentJoint = carrier.parentJoint
-        frame.placement = carrier.placement * pin.SE3(np.eye(3), self.condition.offset_m)
+        frame.parentJoint, frame.placement = self._joint, self._place
 
     def _set_target(self, placement: pin.SE3, step: Vector) -> None:
         self._position_task.target_world = self.condition.point(placement) + self.condition.axes @ step

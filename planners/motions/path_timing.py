@@ -135,13 +135,9 @@ def within_limits(trajectory: Trajectory, limits: RateLimits) -> Trajectory:
     velocity_excess = max(np.max(np.abs(v) / limits.velocity_rad_s) for v in (v0, v1, turning))
     acceleration_excess = max(np.max(np.abs(a) / limits.acceleration_rad_s2) for a in (a0, a1))
     stretch = max(1.0, float(velocity_excess), float(np.sqrt(acceleration_excess)))
-    return Trajectory(
-        trajectory.joint_names,
-        trajectory.time_s * stretch,
-        trajectory.positions_rad,
-        trajectory.velocities_rad_s / stretch,
-        trajectory.accelerations_rad_s2 / stretch**2,
-    )
+    velocities, accelerations = trajectory.velocities_rad_s / stretch, trajectory.accelerations_rad_s2 / stretch**2
+    times_s = trajectory.time_s * stretch
+    return Trajectory(trajectory.joint_names, times_s, trajectory.positions_rad, velocities, accelerations)
 
 
 def toppra_profile(path: NaturalSpline, limits: RateLimits, top_rate: Vector | None = None) -> Profile | None:

@@ -494,13 +494,8 @@ def servo_answer(
     """Return the answer for an outcome."""
     status, reasons = _active_limits(names, outcome, bounds)
     reasons += _unachieved(question, outcome, len(names))
-    return ServoAnswer(
-        dict(zip(names, outcome.velocity_rad_s.tolist(), strict=True)),
-        status,
-        "; ".join(reasons),
-        outcome.share,
-        outcome.anchor,
-    )
+    velocity_rad_s = dict(zip(names, outcome.velocity_rad_s.tolist(), strict=True))
+    return ServoAnswer(velocity_rad_s, status, "; ".join(reasons), outcome.share, outcome.anchor)
 
 
 def _active_limits(names: tuple[str, ...], outcome: Outcome, bounds: VelocityBounds) -> tuple[ServoStatus, list[str]]:

@@ -498,7 +498,7 @@ class ActionChunks:
                 nearest = dict(zip(motion.made[0].joint_names, motion.made[0].positions_rad[-1].tolist(), strict=True))
         else:
             until_s = min(until_s, now_s) if followed.begun_until_s > 0.0 else -math.inf
-            index = motion.first_after(until_s)
+            index = after if (after := motion.first_after(until_s)) >= 0 else index
             held_rad = self._planning.current.positions_rad()
             if held_rad is not None and self._followed is followed:
                 nearest = answer.details.get("nearest_rad") or {name: held_rad[name] for name in motion.joints}

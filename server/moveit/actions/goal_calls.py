@@ -16,6 +16,7 @@ from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Pr
 from server.execution.queue import GoalQueue
 from server.graph.actions import ActionGoal, Result
 from server.graph.permissions import CALLED_GOAL
+from server.graph.providers import CompleteResponse
 from server.graph.services import MAX_TIMEOUT_S, Call, Response
 from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status, plan_without_moving
@@ -66,7 +67,11 @@ class GoalCalls:
                 goal.cancel()
 
         def take(result: Result) -> None:
-            (call.succeed if result.ok else call.fail)(result.values)
+            if result.ok:
+                # The response has the fields of the result.
+                call.succeed(CompleteResponse(result.values))
+            else:
+                call.fail(result.values)
 
         goal = self._actions.send_goal(call.caller, self._name, ACTION_TYPE, call.request, take)
         call.when_ended(ended)

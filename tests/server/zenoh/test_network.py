@@ -9,12 +9,13 @@ import pytest
 
 from protocol.codecs import cdr
 from protocol.errors import MessageError
+from server.errors import GraphError
 from server.graph.message_types import BYTES_AT_ONCE
 from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.zenoh import network
-from server.zenoh.network import Declaration, Network, SharedNames
+from server.zenoh.network import Declaration, Network, SharedNames, SharedThings
 from server.zenoh.rmw import LivelinessTokens
 from server.zenoh.session import SessionThread
 from tests.conformance.cases import INTERFACES
@@ -80,6 +81,31 @@ def test_only_what_was_declared_is_taken_back_the_last_first() -> None:
         Declaration(jobs, "a token", lambda _session: entity).undeclare()
         assert taken_back == declared
         taken_back.clear()
+
+
+async def test_wanted_things_are_made_up_to_a_limit_and_again_where_they_change(
+    alone: Network, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(network, "MAX_SHARED", 2)
+    made = []
+
+    class Thing:
+        def __init__(self, name: str, wanted: int) -> None:
+            if not wanted:
+                raise GraphError("topic", name, "has another type")
+            self.of, self.closed = (name, wanted), False
+            made.append(self)
+
+        def close(self) -> None:
+            self.closed = True
+
+    things = SharedThings(alone, Thing)
+    things.follow({"/wrong": 0, "/a": 1, "/b": 1, "/one_too_many": 1})
+    assert [each.of for each in made] == [("/a", 1), ("/b", 1)]
+    assert "/wrong is not shared: topic /wrong: has another type" in caplog.text
+    things.follow({"/a": 2, "/b": 1})
+    assert [(each.of, each.closed) for each in made] == [(("/a", 1), True), (("/b", 1), False), (("/a", 2), False)]
+    assert [things.is_shared("/a", each) for each in made] == [False, False, True]
 
 
 def test_a_pattern_fits_whole_names_and_no_patterns() -> None:

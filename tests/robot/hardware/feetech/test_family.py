@@ -74,7 +74,7 @@ def test_a_setting_that_differs_from_its_profile_is_told_with_its_consequence(bu
         (Register.OPERATING_MODE, 1, None, r"servo 2 (shoulder_lift) is in operating mode 1"),
         (Register.MIN_ANGLE_LIMIT, 100, ServoAlert.ANGLE_LIMITS, "(100, "),
         (Register.PHASE, 12 | PHASE_MULTI_TURN, ServoAlert.SEVERAL_TURNS, "its position may overflow"),
-        (Register.RETURN_DELAY, 250, ServoAlert.RETURN_DELAY, "500 us later: set register RETURN_DELAY to 0"),
+        (Register.RETURN_DELAY, 250, ServoAlert.RETURN_DELAY, "comes 500 us later: set register RETURN_DELAY to 0"),
         (Register.LOCK, 0, ServoAlert.EPROM_UNLOCKED, "EPROM is unlocked"),
         (Register.P_GAIN, 8, ServoAlert.REGISTER, "droops further"),
         (Register.MAX_TORQUE, 300, ServoAlert.REGISTER, "30 % of its torque"),
@@ -294,6 +294,7 @@ def test_registers_of_an_arm_replace_those_of_the_base_or_are_refused_with_their
         (ProfileTable(registers={"GOAL_POSITION": 20}), "there is no such setting"),
         (ProfileTable(gripper={"P_GAIN": 256}), r"hardware.profile.gripper.P_GAIN: must be 0 to 255, not 256"),
         (ProfileTable(registers={"HOMING_OFFSET": 2048}), "must be -2047 to 2047, not 2048"),
+        (ProfileTable(registers={"HOMING_OFFSET": -2048}), "must be -2047 to 2047, not -2048"),
     ):
         with pytest.raises(DescriptionError, match=words):
             profile_of(spec)

@@ -40,7 +40,7 @@ MAX_KEPT = 10_000
 # Published while somebody subscribes, and the arm's states are read at their full rate then.
 STATE_TOPIC, COMMANDED_TOPICS = "/joint_states", "_controller/controller_state"
 
-NOT_RECORDED = "this server records nothing: it was started without --record FILE.mcap, or its disk is full"
+NOT_RECORDED = "nothing is recorded: no --record FILE.mcap, or the file has its limit_mb, or the disk is full"
 
 # Cameras that are watched: an arm has a few, and clients can make up any number of topics.
 MAX_WATCHED = 100

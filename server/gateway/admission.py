@@ -302,7 +302,8 @@ class AdmissionPolicy:
             refusal = self._foreign(request, host)
             if refusal is not None:
                 return refusal
-        if request.upgrade and (wrong := wrong_choice(parse_qs(request.path.partition("?")[2]))):
+        query = parse_qs(request.path.partition("?")[2], keep_blank_values=True)
+        if request.upgrade and (wrong := wrong_choice(query)):
             return self._refuse(HTTPStatus.BAD_REQUEST, "query", wrong, wrong)
         admitted = self._identity(request)
         if admitted is None and not request.upgrade and area in GUARDED:

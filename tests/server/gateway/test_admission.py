@@ -100,6 +100,7 @@ def test_a_request_is_refused_with_its_reason() -> None:
         (LOCKED, request_for(f"/?token={SECRET}&token={OTHER}"), 401, "one token is wanted, not 2"),
         (OPEN, request_for("/?on_disconnect=halt"), 400, "?on_disconnect= must be finish or stop, not 'halt'"),
         (OPEN, request_for("/?ros=1&ros=noetic"), 400, "?ros= must be 1 or 2, not 'noetic'"),
+        (OPEN, request_for("/?on_disconnect="), 400, "?on_disconnect= must be finish or stop, not ''"),
     ):
         got, text = refused(AdmissionPolicy(tokens).check(asked))
         assert got == status

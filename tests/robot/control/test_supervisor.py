@@ -222,6 +222,14 @@ def test_a_stop_during_its_start_or_while_it_is_enabled_leaves_an_arm_relaxed(em
         assert (rig.mode, rig.torque()) == (Mode.RELAXED, [0] * 6), at_s
 
 
+def test_a_stop_just_after_an_enabled_arm_was_enabled_once_more_leaves_it_holding(rig: ArmRig) -> None:
+    rig.supervisor.handle(Command(100, Order.ENABLE, epoch=100))
+    rig.supervisor.handle(Stop(epoch=2))
+    rig.run(3.0)
+    assert rig.answer(100).message == "the arm is enabled already"
+    assert (rig.mode, rig.torque()) == (Mode.HOLDING, [1] * 6)
+
+
 def test_a_stop_does_not_break_off_relaxing(rig: ArmRig) -> None:
     number = rig.begin(Order.RELAX)
     rig.run(0.5)

@@ -1,5 +1,6 @@
 """Orders to the arm: sequences that return a sentence or raise a RobotError."""
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -53,7 +54,13 @@ class Orders:
         if not wanted:
             return "the arm is relaxed"
         try:
-            yield from self._enable(wanted)
+            with contextlib.closing(self._enable(wanted)) as enabling:
+                for wait_s in enabling:
+                    yield wait_s
+                    if not (holding or may_enable()):
+                        # A stop came meanwhile.
+                        enabling.close()
+                        return (yield from self.relax())
         except (StartupError, NoReply) as error:
             if holding:
                 self._arm.hold(np.where(found.driven, found.goal_rad, measured.position_rad))

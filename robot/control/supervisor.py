@@ -219,7 +219,9 @@ class Supervisor:
         """Take a stop of all motion: no earlier request moves the arm, or switches its torque on."""
         self._last_stop, self._stopped, self._halted = epoch, True, ""
         self._may_enable = False
-        if self._orders is not None and self._runs(_NAMES[Order.ENABLE]):
+        # An arm that was enabled already holds.
+        relaxed = self._controller is not None and not self._controller.torque_enabled
+        if self._orders is not None and relaxed and self._runs(_NAMES[Order.ENABLE]):
             self._begin(_Task(SWITCHING_OFF, self._orders.relax(), None, self._clock()))
 
     @property

@@ -335,11 +335,11 @@ def rotation_about(axis: Vector, angle_rad: float) -> Vector:
 
 
 def unit_axis(element: ET.Element) -> Vector:
-    """Return the axis of a URDF <joint> that moves: a unit vector, shape (3,), along x where the joint has none."""
+    """Return the axis of a URDF <joint>: a unit vector, shape (3,), along x where the joint has none."""
     axis = element.find("axis")
     values = np.array([float(v) for v in axis.get("xyz", "1 0 0").split()]) if axis is not None else np.eye(3)[0]
-    unit: Vector = values / np.linalg.norm(values)
-    return unit
+    length = float(np.linalg.norm(values))
+    return values / length if length > 0.0 else np.eye(3)[0]
 
 
 def origin_transform(element: ET.Element) -> Vector:

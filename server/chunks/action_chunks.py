@@ -233,7 +233,7 @@ class ChunkMotion:
 
 def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: RobotModel) -> None:
     """Refuse targets that are far from where the joints are at a time."""
-    wanted = targets.at(np.array([max(at_s, float(targets.time_s[0]))]))[0]
+    wanted = _first(targets, at_s)
     present = np.array([present_rad[name] for name in targets.joint_names])
     away = np.abs(wanted - present)
     worst = int(np.argmax(away))
@@ -246,6 +246,12 @@ def check_jump(targets: Targets, present_rad: Positions, at_s: float, robot: Rob
         )
         nearest = present + np.clip(wanted - present, -NEAREST_RAD, NEAREST_RAD)
         raise invalid_plan(text, nearest_rad=dict(zip(targets.joint_names, nearest.tolist(), strict=True)))
+
+
+def _first(targets: Targets, at_s: float) -> Vector:
+    """Return the targets at a time, or the first ones after it, shape (joints,)."""
+    first: Vector = targets.at(np.array([max(at_s, float(targets.time_s[0]))]))[0]
+    return first
 
 
 class PolicyPhase(StrEnum):
@@ -481,8 +487,9 @@ class ActionChunks:
         targets = chunk.targets.of_joints(names)
         if former is not None and former.joint_names != names:
             former = None
-        # Not from the former targets: below a speed limit the arm may be far behind them.
-        if (present_rad := current.positions_rad()) is not None:
+        # The arm may be behind the former targets, as it begins to move, or below a speed limit: near either is near.
+        away_rad = math.inf if former is None else np.abs(_first(targets, now_s) - _first(former, now_s)).max()
+        if away_rad > MAX_JUMP_RAD and (present_rad := current.positions_rad()) is not None:
             check_jump(targets, present_rad, now_s, self._robot)
         field = "the time to the last target"
         self._planning.time_limits.check_duration(targets.end_s - now_s, field, MoveItErrorCode.INVALID_MOTION_PLAN)

@@ -15,7 +15,7 @@ from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from planners.goals import JointGoal
-from planners.problem import ConcurrencyQuestion, MoveItErrorCode, Plan, PlanningProblem
+from planners.problem import ConcurrencyQuestion, MoveItErrorCode, Plan, PlanningFailure, PlanningProblem
 from robot.arm import CLOSE_LIMIT_S, Arm
 from robot.arm_group import states_of
 from robot.description.model import RobotModel
@@ -171,7 +171,10 @@ class ArmParking:
         bounded = replace(problem, allowed_time_s=min(problem.allowed_time_s, PLANNING_TIME_S))
         scene_state = self.context.planning.scene_state
         scene = scene_state.scene
-        plan = required(await self.context.planning.pool.ask(bounded, scene))
+        plan = await self.context.planning.pool.ask(bounded, scene)
+        if isinstance(plan, PlanningFailure):
+            name = self.context.name
+            raise refused(plan.code, f"{name}: {plan.message}" if name else plan.message)
         if scene.version != scene_state.scene.version:
             code = MoveItErrorCode.MOTION_PLAN_INVALIDATED_BY_ENVIRONMENT_CHANGE
             raise refused(code, "the scene has changed meanwhile")

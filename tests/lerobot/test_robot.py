@@ -342,6 +342,11 @@ def test_a_policy_that_was_trained_on_an_export_of_an_arm_with_another_zero_move
     command = [BIN / "armbridge-policy", *robot(server.port, with_camera=False), f"--policy={root}"]
     done = run(*command, timeout_s=COMMAND_TIMEOUT_S, env=OFFLINE, cwd=tmp_path)
     assert f"{root}: zero or range of shoulder_pan differ by 28.6 degrees" in done.stderr.splitlines()[-1]
+    # A policy of a server has no folder, not the present one.
+    command[-1] = "--openpi.url=ws://127.0.0.1:1"
+    done = run(*command, timeout_s=COMMAND_TIMEOUT_S, env=OFFLINE, cwd=root)
+    assert done.returncode != 0
+    assert "zero or range" not in done.stderr
 
 
 def test_a_dataset_of_an_arm_with_another_zero_is_converted(server: RunningServer, arm: Arm, tmp_path: Path) -> None:

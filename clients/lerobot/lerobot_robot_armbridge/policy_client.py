@@ -234,7 +234,7 @@ def trained_on(policy: str) -> Path | None:
 def run(config: PolicyClientConfig) -> None:
     """Run a policy on the arm, until Ctrl-C, a stop or an error."""
     config.check()
-    if isinstance(config.robot, ArmbridgeConfig) and config.robot.dataset is None:
+    if isinstance(config.robot, ArmbridgeConfig) and config.robot.dataset is None and config.policy:
         config.robot.dataset = trained_on(config.policy)
     robot = make_robot_from_config(config.robot)
     if not isinstance(robot, Armbridge):

@@ -130,8 +130,8 @@ class SceneState(CurrentScene):
 
     async def settled(self) -> None:
         """Wait until the changes that have been submitted until now are applied or refused."""
-        if self._applying is not None:
-            await asyncio.shield(self.submit(SceneChange(lambda _draft: None, 0), None))
+        if self._waiting:
+            await asyncio.wait([applied for *_, applied in self._waiting])
 
     def close(self) -> None:
         """Apply no more of the changes that wait."""

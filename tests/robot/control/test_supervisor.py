@@ -202,11 +202,14 @@ def test_an_arm_that_is_being_enabled_can_be_relaxed(start_rig: Start) -> None:
 
 
 def test_a_stop_during_its_start_or_while_it_is_enabled_leaves_an_arm_relaxed(emulator: SteppedEmulator) -> None:
-    rig = ArmRig(emulator)
-    rig.run(0.02)
-    assert rig.mode is Mode.CONNECTED
-    rig.supervisor.handle(Stop(epoch=2))
-    rig.until_mode(Mode.RELAXED)
+    # While its servos are checked, and until their torque has risen.
+    for at_s in (0.02, 0.08, 0.2, 0.5, 0.8):
+        rig = ArmRig(emulator)
+        rig.run(at_s)
+        assert rig.mode is Mode.CONNECTED
+        rig.supervisor.handle(Stop(epoch=2))
+        rig.run(2.0)
+        assert (rig.mode, rig.torque()) == (Mode.RELAXED, [0] * 6), at_s
     rig = ArmRig(emulator)
     rig.supervisor.disconnect(LOST)
     rig.supervisor.handle(Stop(epoch=2))
@@ -220,6 +223,14 @@ def test_a_stop_during_its_start_or_while_it_is_enabled_leaves_an_arm_relaxed(em
         assert rig.answer(enabling).message == "given up for another order: relaxing after a stop"
         assert rig.order(Order.RELAX).done
         assert (rig.mode, rig.torque()) == (Mode.RELAXED, [0] * 6), at_s
+
+
+def test_a_stop_just_after_an_enabled_arm_was_enabled_once_more_leaves_it_holding(rig: ArmRig) -> None:
+    rig.supervisor.handle(Command(100, Order.ENABLE, epoch=100))
+    rig.supervisor.handle(Stop(epoch=2))
+    rig.run(3.0)
+    assert rig.answer(100).message == "the arm is enabled already"
+    assert (rig.mode, rig.torque()) == (Mode.HOLDING, [1] * 6)
 
 
 def test_a_stop_does_not_break_off_relaxing(rig: ArmRig) -> None:

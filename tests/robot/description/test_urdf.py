@@ -2,6 +2,7 @@
 
 import math
 import re
+import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from pydantic import ValidationError
 
 from robot.description.camera import Camera
 from robot.description.srdf import Semantics, read_srdf
-from robot.description.urdf import Joint, JointLimits, Mimic, read_urdf
+from robot.description.urdf import Joint, JointLimits, Mimic, read_urdf, unit_axis
 from robot.errors import DescriptionError
 
 PALM = '<robot name="hand"><link name="palm"/><link name="left"/><link name="right"/><link name="tip"/>'
@@ -28,7 +29,10 @@ def tree(text: str, limits: dict[str, JointLimits] | None = None):
 
 def test_a_joint_that_is_fixed_needs_no_direction() -> None:
     fixed = '<joint name="base" type="fixed"><parent link="palm"/><child link="more"/><axis xyz="0 0 0"/></joint>'
-    assert "base" in tree(HAND.replace("</robot>", f'<link name="more"/>{fixed}</robot>')).joints
+    text = HAND.replace("</robot>", f'<link name="more"/>{fixed}</robot>')
+    assert "base" in tree(text).joints
+    element = next(each for each in ET.fromstring(text).iter("joint") if each.get("name") == "base")
+    assert unit_axis(element).tolist() == [1.0, 0.0, 0.0]
 
 
 def urdf_refusal(text: str) -> str:

@@ -257,6 +257,13 @@ async def test_a_policy_from_where_the_arm_is_goes_on_below_a_speed_limit_that_k
     assert policy.here_rad > 0.3
 
 
+async def test_a_policy_that_goes_on_from_its_former_targets_may_be_ahead_of_an_arm_that_begins(policy: Policy) -> None:
+    for begins_rad in (0.0, 0.24, 0.48):
+        await policy.send(0.15, chunk(ramp(24, begins_rad + 1.3, begins_rad + 0.05)))
+    assert (policy.refusals, policy.codes) == ([], [MoveItErrorCode.SUCCESS] * 3)
+    assert policy.here_rad > 0.2
+
+
 async def test_targets_a_little_beyond_a_limit_are_moved_to_it_and_the_answer_says_how_far(policy: Policy) -> None:
     lower, upper = BOUNDS.lower_rad[COLUMNS[0]], BOUNDS.upper_rad[COLUMNS[0]]
     assert lower < 0.0 < upper

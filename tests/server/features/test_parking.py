@@ -256,6 +256,13 @@ async def test_no_arm_keeps_a_way_where_two_ways_meet(two_arms: World, caplog: p
     assert caplog.text.count("here an arm would be relaxed at its end: the ways meet") == 1
 
 
+async def test_the_arm_that_has_no_way_is_named(two_arms: World, caplog: pytest.LogCaptureFixture) -> None:
+    two_arms.failure = PlanningFailure(MoveItErrorCode.PLANNING_FAILED, "a wall")
+    left_is_elsewhere(two_arms)
+    assert await two_arms.run() == [False, False]
+    assert caplog.text.count(f"here an arm would be relaxed at its end: {SIDES[0]}: a wall") == 1
+
+
 async def test_a_relaxed_arm_keeps_no_way_and_the_other_arm_keeps_its_own(two_arms: World) -> None:
     two_arms.become(Mode.RELAXED)
     assert await two_arms.run() == [False, True]

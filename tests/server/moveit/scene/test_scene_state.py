@@ -82,6 +82,13 @@ async def test_changes_that_wait_are_bounded():
     await asyncio.wait_for(first, TIMEOUT_S)
 
 
+async def test_a_change_larger_than_all_that_may_wait_is_waited_for():
+    state, large = scene_state(), SceneChange(lambda _draft: None, MAX_WAITING_ELEMENTS + 1)
+    applied = state.submit(large, BENT)
+    await asyncio.wait_for(state.settled(), TIMEOUT_S)
+    assert applied.done()
+
+
 def test_a_scene_with_too_many_pairs_of_a_matrix_is_refused_before_they_are_made():
     names = [str(number) for number in range(200)]
     matrix = {"default_entry_names": names, "default_entry_values": [True] * 200}

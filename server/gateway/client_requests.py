@@ -57,16 +57,12 @@ class _Requests(Generic[AnyRequest]):
         self._offers.withdraw(self._node, name)
         self._offered.remove(name)
 
-    def _request(self, request: AnyRequest, prefix: str, fields: dict[str, Any]) -> str | None:
-        """Send the client a request for what it offers; return its id, None when there is no room for it.
-
-        The fields have places for ``id`` and ``args``, in rosbridge's order.
-        """
-        id_ = f"{prefix}:{fields[self._kind]}:{next(self._numbers)}"
+    def _expect_answer(self, request: AnyRequest, prefix: str, spelled: str) -> str:
+        """Give a request, which the client is to answer, its id."""
+        id_ = f"{prefix}:{spelled}:{next(self._numbers)}"
         self._requested[id_] = request
         request.when_ended(lambda _end: self._requested.pop(id_))
-        fields |= {"id": id_, "args": request.request}
-        return id_ if self._client.send_request(fields, f"{request.type_name}_{request.asked}") else None
+        return id_
 
     def _waiting(self, operation: Operation) -> AnyRequest:
         request = self._requested.get(operation.id)
@@ -101,8 +97,9 @@ class ClientServices(_Requests[Call]):
 
     def advertise(self, operation: ops.AdvertiseService) -> None:
         def start(call: Call) -> None:
-            fields = {"op": "call_service", "id": "", "service": operation.service, "args": {}}
-            if self._request(call, "service_request", fields) is None:
+            id_ = self._expect_answer(call, "service_request", operation.service)
+            fields = {"op": "call_service", "id": id_, "service": operation.service, "args": call.request}
+            if not self._client.send_request(fields, f"{call.type_name}_Request"):
                 call.fail(f"{call.title}: its provider does not read its calls quickly enough")
 
         timeout_s, services = self._limits.call_timeout_s, self._services
@@ -193,9 +190,11 @@ class ClientActions(_Requests[ActionGoal]):
         action = operation.action
 
         def start(goal: ActionGoal) -> None:
-            fields = {"op": "send_action_goal", "id": "", "action": action, "action_type": operation.type}
-            id_ = self._request(goal, "action_goal", fields | {"args": {}, "feedback": True})
-            if id_ is None:
+            id_ = self._expect_answer(goal, "action_goal", action)
+            fields = {"op": "send_action_goal", "id": id_, "action": action, "action_type": operation.type}
+            if not self._client.send_request(
+                fields | {"args": goal.request, "feedback": True}, f"{goal.type_name}_Goal"
+            ):
                 goal.fail(f"{goal.title}: its provider does not read its goals quickly enough", GoalStatus.UNKNOWN)
                 return
             goal.when_canceled(lambda: self._client.send({"op": "cancel_action_goal", "id": id_, "action": action}))

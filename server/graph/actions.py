@@ -67,7 +67,7 @@ class ActionGoal(PendingRequest[Result]):
     ``names`` are the action's name and its type.
     """
 
-    asked, answered = "Goal", "Result"
+    answered = "Result"
 
     def __init__(
         self,

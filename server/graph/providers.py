@@ -32,8 +32,8 @@ class CompleteResponse:
 class PendingRequest(Generic[End]):
     """Base of calls and goals on their way; the title says what was asked for, as ``Service /name``."""
 
-    # Ends of the names of its messages' types.
-    asked, answered = "Request", "Response"
+    # End of the name of its answer's type.
+    answered = "Response"
 
     def __init__(self, title: str, type_name: str, request: dict[str, Any], message_types: MessageTypes) -> None:
         self.title, self.type_name, self.request, self.ended = title, type_name, request, False

@@ -22,7 +22,7 @@ from functools import cached_property, partial
 from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Address
 from typing import NamedTuple
-from urllib.parse import parse_qs, unquote
+from urllib.parse import unquote
 
 from websockets.datastructures import Headers
 
@@ -33,7 +33,7 @@ from server.access.one_time_tokens import OneTimeTokens
 from server.access.rate_limits import RateLimiter, client_key, is_loopback, parse_address
 from server.access.settings import AccessSettings
 from server.errors import ConfigurationError
-from server.gateway.http import HttpResponse
+from server.gateway.http import HttpResponse, query_of
 from server.gateway.settings import ServerSettings
 from server.graph.permissions import ANYONE, Identity, Role
 
@@ -302,8 +302,7 @@ class AdmissionPolicy:
             refusal = self._foreign(request, host)
             if refusal is not None:
                 return refusal
-        query = parse_qs(request.path.partition("?")[2], keep_blank_values=True)
-        if request.upgrade and (wrong := wrong_choice(query)):
+        if request.upgrade and (wrong := wrong_choice(query_of(request.path))):
             return self._refuse(HTTPStatus.BAD_REQUEST, "query", wrong, wrong)
         admitted = self._identity(request)
         if admitted is None and not request.upgrade and area in GUARDED:
@@ -417,6 +416,4 @@ def _unauthorized(sentence: str) -> HttpResponse:
 def _tokens(request: HandshakeRequest) -> set[str]:
     lines = request.headers.get_all("Authorization")
     in_header = [line[len(_BEARER) :].strip() for line in lines if line[: len(_BEARER)].lower() == _BEARER]
-    if "?" not in request.path:
-        return set(in_header)
-    return {*in_header, *parse_qs(request.path.partition("?")[2], keep_blank_values=True).get("token", [])}
+    return {*in_header, *query_of(request.path).get("token", [])}

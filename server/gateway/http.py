@@ -278,8 +278,12 @@ class PostedRequest:
 
     @property
     def query(self) -> Mapping[str, list[str]]:
-        """Values by name, from behind the question mark."""
-        return parse_qs(self.request.path.partition("?")[2], keep_blank_values=True)
+        return query_of(self.request.path)
+
+
+def query_of(path: str) -> dict[str, list[str]]:
+    """Return the values of a request's query by name, from behind the question mark."""
+    return parse_qs(path.partition("?")[2], keep_blank_values=True)
 
 
 def names(headers: Headers, header: str, token: str) -> bool:

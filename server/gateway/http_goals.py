@@ -7,7 +7,7 @@ and stops hold for it as for clients over WebSocket.
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -82,7 +82,7 @@ class HttpGoals:
         try:
             operation = self._read(posted.body)
             # A stop is carried out whatever its query is.
-            timeout_s = DEFAULT_TIMEOUT_S if operation.args is None else _timeout_s(posted)
+            timeout_s = DEFAULT_TIMEOUT_S if operation.args is None else _read_query(posted.query)
             with arrived_in(epoch_after(operation.after_stop, posted.epoch)):
                 self._send(operation, node, authorizer, answer)
             # Of the stops since it asked, the sender knows its own alone.
@@ -157,10 +157,11 @@ class HttpGoals:
         )
 
 
-def _timeout_s(posted: PostedRequest) -> float:
-    if wrong := wrong_choice(posted.query):
+def _read_query(query: Mapping[str, Sequence[str]]) -> float:
+    """Check the choices of a query, and return its timeout [s]."""
+    if wrong := wrong_choice(query):
         raise _RefusedError(wrong)
-    text = posted.query.get("timeout", [str(DEFAULT_TIMEOUT_S)])[-1]
+    text = query.get("timeout", [str(DEFAULT_TIMEOUT_S)])[-1]
     try:
         timeout_s = float(text)
     except ValueError:

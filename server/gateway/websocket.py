@@ -15,7 +15,6 @@ import secrets
 from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 from typing import cast
-from urllib.parse import parse_qs
 
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosedOK
@@ -27,7 +26,7 @@ from websockets.speedups import apply_mask
 
 from robot.stop_epochs import STOP_EPOCHS
 from server.gateway.admission import AdmissionPolicy, ConnectionLimiter, HandshakeRequest
-from server.gateway.http import HttpHandler, HttpResponse, PostedRequest, names
+from server.gateway.http import HttpHandler, HttpResponse, PostedRequest, names, query_of
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import INTERNAL_ERROR, OUT_OF_MEMORY, Transport
 from server.graph.permissions import Identity
@@ -215,7 +214,7 @@ class WebSocket(Transport):
 
     def _open(self, request: Request) -> None:
         self._opened = True
-        self.query = parse_qs(request.path.partition("?")[2])
+        self.query = query_of(request.path)
         # websockets holds on to the request, whose headers take as much memory as all else of an idle client.
         request.headers.clear()
         self._call_later(self._settings.ping_interval_s, self._ping)

@@ -83,11 +83,12 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
     path, problems = options.recording, list[str]()
     samples = read_samples(path, registry)
     state_topic = _state_topic(samples, options)
-    joints = _joints_of(samples, state_topic)
+    # One of several arms may have connected after the first message.
+    joints = max((each.names for each in samples.joints[state_topic]), key=len)
     topics = camera_keys(samples.images) if options.video else {}
     if topics and find_spec("av") is None:
         raise ExportError("videos need av: pip install 'armbridge[datasets]', or --no-video")
-    found = _episodes_of(samples, state_topic, topics, options, problems)
+    found = _episodes_of(samples, state_topic, joints, topics, options, problems)
     episodes = [_in_units(frames, joints, samples, options) for frames, _ in found]
     for topic, encoding in samples.left_out.items() if options.video else ():
         tell(f"{path}: {topic} is left out: its images are {encoding}")
@@ -121,10 +122,14 @@ def _check(options: ExportOptions) -> None:
 
 
 def _episodes_of(
-    samples: Samples, state_topic: str, cameras: Mapping[str, str], options: ExportOptions, problems: list[str]
+    samples: Samples,
+    state_topic: str,
+    joints: tuple[str, ...],
+    cameras: Mapping[str, str],
+    options: ExportOptions,
+    problems: list[str],
 ) -> list[tuple[EpisodeFrames, str]]:
     """Return the frames of episodes, and the name of their actions; ``problems`` gets the sentences about others."""
-    joints = _joints_of(samples, state_topic)
     states_s, states = series(samples.joints[state_topic], joints)
     if not states_s.size:
         raise ExportError(f"{samples.path}: {state_topic} must have the joints {', '.join(joints)}")
@@ -156,11 +161,6 @@ def _episodes_of(
             at_s = zero_s + frames.start_s + np.arange(frames.count) / options.fps
             found.append((replace(frames, interventions=interventions(samples, at_s)), actions_of))
     return found
-
-
-def _joints_of(samples: Samples, state_topic: str) -> tuple[str, ...]:
-    # One of several arms may have connected after the first message.
-    return max((each.names for each in samples.joints[state_topic]), key=len)
 
 
 def _state_topic(samples: Samples, options: ExportOptions) -> str:

@@ -204,7 +204,9 @@ def answer_ik(
     checks.check_start(robot, question.start_rad)
     group = robot.groups[question.group]
     start_q, avoid = collision.start(question.start_rad, group.joints), question.avoid_collisions
-    query = GoalQuery(group, start_q, question.constraints, budget, SOLUTIONS, avoid, accept_start=False)
+    query = GoalQuery(
+        group, start_q, question.constraints, budget, wanted=SOLUTIONS, avoid_collisions=avoid, accept_start=False
+    )
     found = states.find(question.goal, query)
     if isinstance(found, PlanningFailure):
         return found

@@ -337,8 +337,8 @@ def _halved(followed: FollowedPath, spans: NDArray[np.int64], path: TipPath, tra
     middle_m = 0.5 * (followed.along_m[spans] + followed.along_m[spans + 1])
     guesses = zip(middle_m, 0.5 * (followed.points[spans] + followed.points[spans + 1]), strict=True)
     points = np.array([tracker.follow(guess, path.at(length_m), 0.0) for length_m, guess in guesses])
-    along_m, all_points = np.insert(followed.along_m, spans + 1, middle_m), followed.points
-    return FollowedPath(along_m, np.insert(all_points, spans + 1, points, axis=0), followed.ended)
+    along_m = np.insert(followed.along_m, spans + 1, middle_m)
+    return FollowedPath(along_m, np.insert(followed.points, spans + 1, points, axis=0), followed.ended)
 
 
 STANDING_SHARE = 1e-3  # where the tip moves by less per length of the path it stands, and its speed limits nothing

@@ -54,13 +54,14 @@ class Orders:
         if not wanted:
             return "the arm is relaxed"
         try:
+            stopped = False
             with contextlib.closing(self._enable(wanted)) as enabling:
                 for wait_s in enabling:
                     yield wait_s
-                    if not (holding or may_enable()):
-                        # A stop came meanwhile.
-                        enabling.close()
-                        return (yield from self.relax())
+                    if stopped := not (holding or may_enable()):
+                        break
+            if stopped:
+                return (yield from self.relax())
         except (StartupError, NoReply) as error:
             if holding:
                 self._arm.hold(np.where(found.driven, found.goal_rad, measured.position_rad))

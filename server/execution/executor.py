@@ -1,8 +1,8 @@
 """Executor of goals: plans from where the arm holds, plays the plan, reports its progress, and looks at the scene.
 
-Goals of groups without a common joint are executed at the same time. A motion begins when it can touch no motion of
-another group, wherever each of both is on its way; else it waits for the other's end. A motion ends when it overruns,
-by the arm's clock, or when the scene gets in its way.
+Goals of groups without a common joint are executed at the same time. A motion begins once its path is clear of every
+motion of another group; else it waits for the other's end. A motion ends when it overruns, by the arm's clock, or when
+the scene gets in its way.
 """
 
 import asyncio
@@ -255,14 +255,14 @@ class GoalExecutor:
             goal.defer_replacement()
             await goal.unless_cancelled(self._check(functools.partial(self._questions, whole)))
             self._checks_s.append(self._clock() - asked_s)
-            # The arm compares the point with its last tick, so that a late one may still be ahead; it refuses others.
-            # Where another goal waits, that goal would continue a motion that the arm has refused.
+            # A late point may still be ahead of the arm's last tick; the arm refuses a point that is not. Where another
+            # goal waits, that goal would continue a motion that the arm has refused.
             latest_s = arrives_s - sending_s if goal.successor else passes_s
             if self._clock() <= latest_s and not goal.reason:
                 answer = await self._play_spliced(goal, planned, version, point)
                 if answer is not None:
                     return answer
-            # The arm has passed the point, or will have: the next point is further ahead.
+            # The arm has passed the point by now: the next point is further ahead.
         return None
 
     def _joined(
@@ -301,7 +301,7 @@ class GoalExecutor:
         """Wait until a motion can begin; a client that steers the arm by velocities has to give way to a goal."""
         await self._stop_outgoing()
         # Motions of preempted goals of other groups with some of the same joints.
-        preempted = [motion.ended for motion in self._in_progress.of(goal.request.joints)]
+        preempted = [motion.ended for motion in self._in_progress.sharing(goal.request.joints)]
         for ended in preempted:
             self._arm.stop(ended)
         await self._arm.wait(preempted, BRAKING_TIMEOUT_S)
@@ -365,9 +365,9 @@ class GoalExecutor:
     async def _play_one(
         self, goal: Goal, motion: Trajectory, planned: Performed, version: int, to_come_s: float
     ) -> Answer:
-        """Play one of the motions, as soon as it can touch no motion of another group."""
+        """Play one of the motions, once its path is clear of every motion of another group."""
         joints = frozenset(motion.joint_names)
-        # Where the other joints were to be while it was planned.
+        # Positions of the other joints that the plan assumes.
         assumed_rad = {name: q for name, q in planned.start_rad.items() if name not in joints}
         while True:
             whole = with_lead_in(motion, self._held_rad(), self._context.robot)
@@ -380,7 +380,7 @@ class GoalExecutor:
                 goal.allow_replacement()
                 goal.report(Progress(GoalState.PLANNED, f"waits for {in_the_way.title}, which it might touch"))
                 await goal.unless_cancelled(asyncio.wait([in_the_way.ended]))
-            elif all(one in beside for one in self._in_progress.beside(joints)):
+            elif all(other in beside for other in self._in_progress.beside(joints)):
                 return await self._play(goal, whole, present_version, planned.summary, to_come_s=to_come_s)
 
     async def _first_meeting(self, motion: Trajectory, beside: Sequence[MotionInProgress]) -> MotionInProgress | None:
@@ -412,7 +412,7 @@ class GoalExecutor:
         for a moment, and brakes unless the other motion has taken its place by then.
 
         Args:
-            point: splice point at which this one replaces the outgoing motion; None to begin at rest.
+            point: splice point at which the motion replaces the outgoing one; None to begin at rest.
             to_come_s: duration of the goal's motions after this one [s].
         """
         outgoing, now_s, continues = self._outgoing, self._clock(), None
@@ -506,9 +506,7 @@ class GoalExecutor:
         """Check until the scene no longer changes meanwhile; brake the motion unless it is free."""
         try:
             while played.version != self._scene.scene.version:
-                played.version = await self._check(
-                    lambda: self._questions(played.trajectory, self._played_for_good_s(played))
-                )
+                played.version = await self._check(lambda: self._questions(played.trajectory, self._done_s(played)))
         except RefusedError as error:
             log.warning("the scene has changed: %s", error)
             played.end = played.end or Answer.of(error.failure)
@@ -540,7 +538,7 @@ class GoalExecutor:
             raise RefusedError(answer.contact)
         return scene.version
 
-    def _played_for_good_s(self, played: PlayedMotion) -> float:
+    def _done_s(self, played: PlayedMotion) -> float:
         """Return the part of a motion that is not played again [s]; on the way back all of it may be."""
         progress = self._arm.progress(played.ended)
         if progress is None or self._arm.state.pace.direction is PlaybackDirection.BACK:
@@ -548,7 +546,10 @@ class GoalExecutor:
         return progress.fraction * played.trajectory.duration_s
 
     def _questions(self, motion: Trajectory, from_s: float = 0.0, *, alone: bool = False) -> Questions:
-        """Return the questions if a motion is free from a time of it on [s], also of motions beside it, or alone."""
+        """Return the questions about the contacts of a motion from one of its times on [s].
+
+        They are about the scene and, unless it is asked about ``alone``, about each motion beside it.
+        """
         joints, groups = motion.joint_names, self._context.robot.groups
         # Planners reject the empty group of joints that no group has.
         group = next((name for name, group in groups.items() if group.joints == joints), "")
@@ -557,9 +558,9 @@ class GoalExecutor:
         return rest, *(self._meeting_question(motion, other) for other in beside)
 
     def _meeting_question(self, motion: Trajectory, other: MotionInProgress) -> ConcurrencyQuestion:
-        """Return the question if a motion may touch one in progress.
+        """Return the question whether a motion may touch another in progress.
 
-        The whole of the other is asked about, not its rest alone: paused motions can be sent back to where they began.
+        It is about the whole of the other, not its rest alone: paused motions can be sent back to where they began.
         """
         moving = (*motion.joint_names, *other.trajectory.joint_names)
         return ConcurrencyQuestion(motion, other.trajectory, self._others_rad(motion.joint_names, moving))

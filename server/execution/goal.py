@@ -150,7 +150,7 @@ class CancelScope:
     cancelled: asyncio.Future[str] = field(init=False, default_factory=_future)
     # True where another request may replace the motion without a stop; else the motion brakes.
     replaced: bool = field(init=False, default=False)
-    # Set at each cancellation: who waits for it goes on a turn of the event loop sooner than by the future above.
+    # Set at each cancellation: a task that waits for it goes on a turn of the event loop sooner than by the future.
     news: asyncio.Event = field(init=False, default_factory=asyncio.Event)
 
     @property
@@ -270,14 +270,14 @@ class GoalRequest:
     message: Mapping[str, Any] = field(default_factory=dict)
     client: object = ""  # its client, who is named to those who wait for the goal's end; empty when it is unknown
     policy: GoalPolicy | None = None  # None for the queue's own policy
-    # Called with its progress, besides the queue's own listener.
+    # Called with its progress, after the queue's listeners.
     on_progress: Callable[[Progress], None] = lambda _progress: None
-    # Called once, likewise, perhaps before the goal is submitted.
+    # Called once with its answer, likewise; perhaps before ``submit`` returns.
     on_answer: Callable[[Answer], None] = lambda _answer: None
     only_for: Node | None = None  # the one client that is informed of its rejection; None for all
     epoch: int = field(default_factory=arrival_epoch)  # stop epoch in which it arrived
-    streamed: bool = False  # True for one of many in a row
-    repeated: bool = False  # True where the one before it in the row was refused
+    streamed: bool = False  # True for a goal of a stream
+    repeated: bool = False  # True where the stream's goal before it was refused
 
     @property
     def joints(self) -> Joints:
@@ -320,8 +320,8 @@ class Goal(CancelScope):
     def defer_replacement(self) -> None:
         """Have no other goal replace it until its motion has begun.
 
-        Otherwise no trajectory of a stream would begin if checking a trajectory takes longer than the next needs to
-        arrive.
+        Otherwise no trajectory of a stream would begin where its check takes longer than the next trajectory takes
+        to arrive.
         """
         self._deferring = True
 

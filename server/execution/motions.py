@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -156,14 +156,15 @@ async def _plan(problem: Problem, scene: Scene, planners: Planners) -> Plan | Ca
     return plan
 
 
-# The next motion leaves the present one so far ahead: planning takes a few milliseconds, on a busy machine some tens.
+# Time ahead at which the next motion leaves the present one: planning takes a few milliseconds, some tens on a busy
+# machine.
 HORIZON_S = 0.16
 
-# A motion whose goal was replaced goes on for so long at most until a given trajectory takes its place: where other
-# programs use every core, a check for contacts takes some tenths.
+# A motion whose goal was replaced goes on for at most this time until a given trajectory takes its place: where other
+# programs use every core, a check for contacts takes some tenths of a second.
 OUTGOING_S = 0.5
 
-# The part of it that is reserved for the way to the arm process and its next tick.
+# Part of both times that is reserved for the way to the arm process and its next tick.
 SENDING_S = 0.03
 
 # The same of the attempts of a given trajectory, which is sent again if the arm has passed the point. The way to the
@@ -180,15 +181,15 @@ ARRIVAL_LATE_S = 0.001
 # Rounding of monotonic times and their sums, far below any visible effect [s].
 ROUNDING_S = 1e-8
 
-# The arm may have played so much less of its motion than the latest state says here: states come at 50 Hz.
+# The arm may have played less of its motion, by at most this, than its latest state shows: states come at 50 Hz [s].
 STATE_AGE_S = 0.1
 
-# A point of the motion so near to an end of the lead is left out: on a piece of 1e-18 s, which rounding makes, the
-# accelerations of the cubic are arbitrary.
+# Points of the motion nearer to an end of the lead are left out: on a piece of 1e-18 s, which rounding makes, the
+# accelerations of the cubic are arbitrary [s].
 MIN_PIECE_S = 1e-6
 
-# MoveIt's allowed_start_tolerance. The arm may have moved so far since the motion was planned: backlash and droop of a
-# client's measured start, and the rounding of the arm's controller.
+# MoveIt's allowed_start_tolerance: backlash and droop of a client's measured start, and the rounding of the arm's
+# controller, since the motion was planned.
 START_TOLERANCE_RAD = 0.05
 
 # Nearer starts are the same: half a servo tick.
@@ -283,14 +284,14 @@ def with_lead_in(motion: Trajectory, held_rad: Mapping[str, float], robot: Robot
     worst = int(np.argmax(away))
     if away[worst] > START_TOLERANCE_RAD:
         name = motion.joint_names[worst]
-        unit, start_rad, held_q = robot.joints[name].unit, float(motion.positions_rad[0, worst]), float(held[worst])
+        unit, start, held_at = robot.joints[name].unit, float(motion.positions_rad[0, worst]), float(held[worst])
         raise refused(
             MoveItErrorCode.CONTROL_FAILED,
-            f"the motion starts with joint {name} at {start_rad:.4f} {unit}, but the arm holds it at {held_q:.4f}"
+            f"the motion starts with joint {name} at {start:.4f} {unit}, but the arm holds it at {held_at:.4f}"
             f" {unit} (tolerance {START_TOLERANCE_RAD} {unit}): plan it again from here",
             joint=name,
-            start_rad=start_rad,
-            held_rad=held_q,
+            start_rad=start,
+            held_rad=held_at,
             tolerance_rad=START_TOLERANCE_RAD,
         )
     if away[worst] <= SAME_START_RAD:
@@ -324,7 +325,7 @@ class MotionInProgress:
 
 
 class MotionsInProgress:
-    """Motions of all goals, by which motions of some joints are planned around others, one goal at a ``turn``."""
+    """Motions of all goals, around which the motions of other joints are planned, one goal at a ``turn``."""
 
     def __init__(self) -> None:
         self._motions: dict[asyncio.Future[MotionEnded], MotionInProgress] = {}
@@ -332,7 +333,7 @@ class MotionsInProgress:
         self.turn = asyncio.Lock()
 
     def announce(self, joints: Joints, end_rad: Mapping[str, float]) -> None:
-        """Tell where motions of some joints that are planned will end [rad]."""
+        """Note where the planned motions of some joints will end [rad]."""
         self._announced[joints] = end_rad
 
     def withdraw(self, joints: Joints) -> None:
@@ -343,29 +344,29 @@ class MotionsInProgress:
             self._motions[ended] = MotionInProgress(trajectory, ended)
             ended.add_done_callback(lambda _ended: self._motions.pop(ended, None))
 
-    def of(self, joints: Iterable[str]) -> list[MotionInProgress]:
-        wanted = frozenset(joints)
-        return [one for one in self._live if wanted & set(one.trajectory.joint_names)]
+    def sharing(self, joints: Joints) -> list[MotionInProgress]:
+        """Return the motions that move any of some joints."""
+        return [motion for motion in self._live if not joints.isdisjoint(motion.trajectory.joint_names)]
 
     def beside(self, joints: Joints) -> list[MotionInProgress]:
-        """Return the motions of none but other joints."""
-        return [one for one in self._live if not joints & set(one.trajectory.joint_names)]
+        """Return the motions of other joints alone."""
+        return [motion for motion in self._live if joints.isdisjoint(motion.trajectory.joint_names)]
 
     def expected_rad(self, held_rad: Mapping[str, float], joints: Joints) -> dict[str, float]:
         """Return the positions [rad] of some joints now, and of others after their motions, begun or announced."""
         expected_rad = dict(held_rad)
-        for one in self.beside(joints):
-            end_rad = one.trajectory.positions_rad[-1].tolist()
-            expected_rad |= zip(one.trajectory.joint_names, end_rad, strict=True)
-        for announced, end_rad_of in self._announced.items():
+        for motion in self.beside(joints):
+            end_rad = motion.trajectory.positions_rad[-1].tolist()
+            expected_rad |= zip(motion.trajectory.joint_names, end_rad, strict=True)
+        for announced, announced_rad in self._announced.items():
             if not announced & joints:
-                expected_rad |= end_rad_of
+                expected_rad |= announced_rad
         return expected_rad
 
     @property
     def _live(self) -> list[MotionInProgress]:
         # The callback of an end comes a turn of the event loop later than the end.
-        return [one for one in self._motions.values() if not one.ended.done()]
+        return [motion for motion in self._motions.values() if not motion.ended.done()]
 
 
 # Smaller deviations are within what a servo arm reaches anyway [m], [rad].

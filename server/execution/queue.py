@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from planners.problem import MoveItErrorCode, PlanningFailure
 from robot.stop_epochs import STOPPED_SINCE
@@ -22,6 +23,9 @@ from server.execution.motions import Joints
 log = logging.getLogger("armbridge.goals")
 
 SHUTTING_DOWN = "the server is shutting down"
+
+# Called with the stick or leader that takes over, in words, and a function that returns True while it moves the arm.
+TakeOver: TypeAlias = Callable[[str, Callable[[], bool]], None]
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ class GoalQueue:
         self._idle = asyncio.Event()
         self._idle.set()
         self._ids = map(str, itertools.count(1))
-        self._giving_way: list[tuple[Joints, Callable[[str, Callable[[], bool]], None]]] = []
+        self._giving_way: list[tuple[Joints, TakeOver]] = []
         self._started = self._closed = False
 
     def start(self) -> None:
@@ -93,12 +97,12 @@ class GoalQueue:
         last = max(ends_s, key=lambda goal: ends_s[goal], default=None)
         return None if last is None else RunningGoal(last.title, last.remaining_s, len(self._waiting))
 
-    def give_way(self, joints: Joints, end: Callable[[str, Callable[[], bool]], None]) -> None:
-        """Have ``end`` called as :meth:`take_over` is for a person's stick or leader of any of some joints."""
+    def give_way(self, joints: Joints, end: TakeOver) -> None:
+        """Register a program that moves some joints: ``end`` is called when a person takes any of them over."""
         self._giving_way.append((joints, end))
 
     def take_over(self, joints: Joints, hand: str, moves: Callable[[], bool]) -> None:
-        """End the goals of programs that give way to a person; ``moves`` is true for as long as the person moves."""
+        """End the goals of programs that give way to a person's hand; ``moves`` returns True while it moves the arm."""
         for moved, end in self._giving_way:
             if not moved.isdisjoint(joints):
                 end(hand, moves)
@@ -143,9 +147,9 @@ class GoalQueue:
 
     def _goal(self, request: GoalRequest) -> Goal:
         deadline = ExecutionDeadline(self._executors.time_limits)
-        return Goal(next(self._ids), request, self._tell, deadline=deadline)
+        return Goal(next(self._ids), request, self._report, deadline=deadline)
 
-    def _tell(self, goal: Goal, progress: Progress) -> None:
+    def _report(self, goal: Goal, progress: Progress) -> None:
         for listener in self.listeners:
             with _contained(goal):
                 listener.on_progress(goal, progress)

@@ -61,19 +61,20 @@ SETTLES_S = 1.0
 MAX_POINTS = 500
 CHUNK_LIMITS = ListLimits({"trajectory_msgs/msg/JointTrajectory.points": MAX_POINTS}, 24 * MAX_POINTS)
 
-# A target may be so far from where the arm will be at its time: at 2 rad/s and 10 Hz targets are 0.2 rad apart [rad].
+# Greatest distance of a target from where the arm will be at its time: at 2 rad/s and 10 Hz targets are 0.2 rad apart
+# [rad].
 MAX_JUMP_RAD = 0.3
 
-# Distance of the target that is offered in place of one further away: in motion the arm is elsewhere by then [rad].
+# Distance of the target that is offered in place of a farther one: in motion the arm is elsewhere by then [rad].
 NEAREST_RAD = 0.25
 
-# A target so far beyond a joint's limits is moved to the limit; the chunk ends before one further away [rad].
+# Targets beyond a joint's limits by at most this are moved to the limit; the chunk ends before others [rad].
 MOVED_TO_LIMIT_RAD = 0.1
 
 # Clocks of two machines that are synchronised differ by less [s].
 MAX_AHEAD_S = 0.1
 
-# A motion that would touch something ends so much earlier, further with each attempt [s].
+# Times by which a motion that would touch something ends earlier, for each attempt [s].
 CUTS_S = (0.1, 0.2, 0.4)
 
 
@@ -82,12 +83,14 @@ class Chunk:
     """Chunk as it came.
 
     Attributes:
-        targets: of all named joints, within their limits.
+        observed_s: monotonic time of its trajectory's stamp, or of its arrival without one [s].
+        targets: targets of all named joints, within the joints' limits.
         moved_rad: greatest distance by which a target was moved to a limit [rad].
         end: index of the first target that is not followed, and the reason; None where all are.
     """
 
     chunk_id: str
+    observed_s: float
     targets: Targets
     blend: Blend
     weight: float
@@ -140,7 +143,7 @@ def read_chunk(message: Message, robot: RobotModel, joints: frozenset[str], now_
         end = first, reason
         times_s, within, moved = times_s[:first], within[:first], moved[:first]
     targets = Targets(names, now_s - age_s + times_s, within)
-    return Chunk(message["id"], targets, Blend(blend), weight, float(moved.max()), end)
+    return Chunk(message["id"], now_s - age_s, targets, Blend(blend), weight, float(moved.max()), end)
 
 
 class ChunkMotion:
@@ -255,12 +258,16 @@ def _first(targets: Targets, at_s: float) -> Vector:
 
 
 class PolicyPhase(StrEnum):
-    """Phases of an arm's policy; chunks are refused while it is paused or taken over."""
+    """Phases of an arm's policy."""
 
     IDLE = "idle"
     FOLLOWING = "following"
     PAUSED = "paused"
     TAKEN_OVER = "taken_over"
+
+
+# Phases in which chunks are refused until the policy is resumed.
+HALTED = (PolicyPhase.PAUSED, PolicyPhase.TAKEN_OVER)
 
 
 @dataclass
@@ -295,9 +302,9 @@ class ActionChunks:
         node.advertise(ANSWER, ANSWER_TYPE)
         node.offer_action(NAME, ACTION_TYPE, self._start, CHUNK_LIMITS, rule=GOAL)
         node.subscribe(NAME, TYPE, self._take, limits=CHUNK_LIMITS, rule=GOAL)
-        # Times of the last chunk that was followed and of the last resumption [s]; epoch of the policy's last stop.
-        self._heard_s, self._resumed_s, self._stopped = -math.inf, -math.inf, 0
-        # The last stick or leader, and if it moves the arm still.
+        # Times of the last followed chunk and of the last resumption [s], and stop epoch of the policy's last stop.
+        self._heard_s, self._resumed_s, self._last_stop = -math.inf, -math.inf, 0
+        # The last stick or leader in words, and a function that returns True while it moves the arm.
         self._hand: tuple[str, Callable[[], bool]] | None = None
         self._phase, self._message = PolicyPhase.IDLE, ""
         node.advertise(STATE, STATE_TYPE, latch=True)
@@ -340,21 +347,19 @@ class ActionChunks:
     def _submit(self, source: str, message: Message, publisher: object, goal: ActionGoal | None = None) -> str:
         """Queue the motion of a chunk; return the number of its goal, or raise RefusedError."""
         now_s, former = self._clock(), self._followed
-        self._stream.check(max(self._arm.last_stop, self._stopped))
+        self._stream.check(max(self._arm.last_stop, self._last_stop))
         if self._hand is not None and self._hand[1]():
             self._halt(PolicyPhase.TAKEN_OVER, f"{self._hand[0]} has taken over")
-        if self._phase in (PolicyPhase.PAUSED, PolicyPhase.TAKEN_OVER):
-            # Its request has taken control from nobody.
+        if self._phase in HALTED:
+            # The request has given its client control, which the person may need.
             self._leave_control(publisher)
             resume = self._node.resolve(RESUME)
             raise refused(MoveItErrorCode.CONTROL_FAILED, f"{self._message}: the policy goes on after {resume}")
         if self._arm.rate != 1.0:
             text = f"targets of a policy have real times: simulation.rate must be 1 for them, not {self._arm.rate:g}"
             raise refused(MoveItErrorCode.CONTROL_FAILED, text)
-        wall_s = time.time()
-        chunk = read_chunk(message, self._robot, self._joints, now_s, wall_s)
-        stamp_s = read_seconds(message["trajectory"]["header"]["stamp"], "trajectory.header.stamp")
-        if stamp_s and now_s - (wall_s - stamp_s) < self._resumed_s:
+        chunk = read_chunk(message, self._robot, self._joints, now_s, time.time())
+        if chunk.observed_s < self._resumed_s:
             text = "trajectory.header.stamp is from before the policy was resumed: send a chunk of a later observation"
             raise invalid_plan(text)
         if former is not None and not former.over and former.publisher is not publisher:
@@ -382,7 +387,7 @@ class ActionChunks:
     # Pause, take-over and stop.
 
     def _take_over(self, hand: str, moves: Callable[[], bool]) -> None:
-        """Give way to a person; a policy that has been silent for long does so with its next chunk."""
+        """Give way to a person; a policy that has been silent for `PAUSE_S` gives way with its next chunk."""
         self._hand = hand, moves
         recent = self._clock() - self._heard_s <= PAUSE_S
         if self._phase is PolicyPhase.PAUSED or (self._phase is not PolicyPhase.TAKEN_OVER and recent):
@@ -400,7 +405,7 @@ class ActionChunks:
         call.succeed({"success": True, "message": self._message})
 
     def _stop(self, _request: Message) -> str:
-        self._stopped, self._heard_s = STOP_EPOCHS.begin(), -math.inf
+        self._last_stop, self._heard_s = STOP_EPOCHS.begin(), -math.inf
         self._halt(PolicyPhase.IDLE, "the policy is stopped")
         return self._message
 
@@ -424,7 +429,7 @@ class ActionChunks:
     def _show(self, phase: PolicyPhase, message: str) -> None:
         if (phase, message) == (self._phase, self._message):
             return
-        if PolicyPhase.TAKEN_OVER in (phase, self._phase) or PolicyPhase.PAUSED in (phase, self._phase):
+        if phase in HALTED or self._phase in HALTED:
             log.info("%s: %s", self._node.resolve(NAME), message)
         self._phase, self._message = phase, message
         client = "" if self._followed is None else str(self._followed.publisher)
@@ -457,12 +462,12 @@ class ActionChunks:
         if joined and followed.begun_until_s > 0.0 and followed.goal is None:
             # It has its answer, and the next chunk waits.
             return
-        end = self._answer(followed, answer)
-        if answer.code is not MoveItErrorCode.SUCCESS and not joined and self._gripper is not None:
+        end, failed = self._answer(followed, answer), answer.code is not MoveItErrorCode.SUCCESS
+        if failed and not joined and self._gripper is not None:
             # The arm holds, and so does its gripper.
             self._gripper.end(answer.message)
         # A chunk that another has joined has its answer, unless the other came before it began.
-        if answer.code is not MoveItErrorCode.SUCCESS and not (joined and followed.begun_until_s > 0.0):
+        if failed and not (joined and followed.begun_until_s > 0.0):
             self._publish(end)
         if followed is self._followed and self._phase is PolicyPhase.FOLLOWING:
             self._show(PolicyPhase.IDLE, "no chunk is followed")
@@ -478,7 +483,7 @@ class ActionChunks:
         return position, (ahead - position) / SAMPLE_S
 
     def _motion(self, chunk: Chunk, former: Targets | None, now_s: float) -> ChunkMotion:
-        """Make the motion of the arm's joints, after the targets that the arm follows now; may raise RefusedError."""
+        """Make the motion of the arm's joints, blended with the targets that it follows now; may raise RefusedError."""
         current = self._planning.current
         names = tuple(name for name in chunk.targets.joint_names if name not in self._fingers)
         group = smallest_group(self._robot, names)
@@ -487,7 +492,7 @@ class ActionChunks:
         targets = chunk.targets.of_joints(names)
         if former is not None and former.joint_names != names:
             former = None
-        # The arm may be behind the former targets, as it begins to move, or below a speed limit: near either is near.
+        # An arm that begins to move, or moves at a speed limit, is behind the former targets: near either is enough.
         away_rad = math.inf if former is None else np.abs(_first(targets, now_s) - _first(former, now_s)).max()
         if away_rad > MAX_JUMP_RAD and (present_rad := current.positions_rad()) is not None:
             check_jump(targets, present_rad, now_s, self._robot)
@@ -534,7 +539,7 @@ def begun_message(motion: ChunkMotion) -> str:
 
 
 def refused_answer(message: Message, error: RefusedError) -> Message:
-    """Return the answer to a chunk that nothing of is followed."""
+    """Return the answer to a refused chunk."""
     failure, nearest = error.failure, error.failure.details.get("nearest_rad", {})
     answer = {"id": message["id"], "error_code": error_code(failure.code), "message": failure.message}
     return {**answer, "joint_names": list(nearest), "nearest": list(nearest.values())}

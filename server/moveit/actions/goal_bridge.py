@@ -60,7 +60,7 @@ def submit_goal(
 def plan_without_moving(
     work: Coroutine[Any, Any, Answer], name: str, end: Callable[[Answer], object]
 ) -> Callable[[str], object]:
-    """Call ``end`` with the answer of some planning; return the function that cancels it."""
+    """Call ``end`` with the answer of some planning; return the function that cancels it, and keeps its task alive."""
 
     def take(done: asyncio.Task[Answer]) -> None:
         if done.cancelled():

@@ -104,7 +104,7 @@ class JointTrajectoryController:
         self._planning, self._robot = context.planning, context.planning.robot
         # Goals without result, by their number in the queue.
         self._goals: dict[str, TrajectoryGoal] = {}
-        # Publisher on the topic whose latest trajectory was refused, and whose latest one failed after that.
+        # Publishers on the topic: of the last trajectory, if it was refused, and of the last that ended, if it failed.
         self._refused: object = None
         self._failed: object = None
         self._topic = f"/{name}_controller/joint_trajectory"
@@ -127,9 +127,9 @@ class JointTrajectoryController:
         for number, trajectory_goal in list(self._goals.items()):
             trajectory_goal.take_state(state, functools.partial(self._queue.cancel, number))
         wanted = [topic for topic in self._state_topics if self._node.subscribers(topic)]
-        message = self._state_message(state) if wanted else None
-        for topic in wanted if message is not None else ():
-            self._node.publish(topic, message, prevalidated=True)
+        if wanted and (message := self._state_message(state)) is not None:
+            for topic in wanted:
+                self._node.publish(topic, message, prevalidated=True)
 
     def _state_message(self, state: ArmState) -> dict[str, Any] | None:
         if state.goal_rad is None or state.position_rad is None or state.velocity_rad_s is None:
@@ -175,7 +175,7 @@ class JointTrajectoryController:
     def _play(self, published: PublishedMessage) -> None:
         """Play a trajectory of the topic; as in ROS 1's controllers, one without points stops the arm.
 
-        The publisher hears of every refusal. All clients hear of the first one in a row: streams come at 30 Hz.
+        Its publisher gets every refusal, all clients get the first of several in a row: streams come at 30 Hz.
         """
         trajectory, publisher = published.msg, published.publisher
         if not trajectory["points"]:
@@ -209,13 +209,11 @@ class JointTrajectoryController:
 
     def _motion(self, trajectory: Message, *, streamed: bool) -> ExternalTrajectory:
         """Make the motion of a trajectory, and check that it can be played from where the arm is now."""
-        planning, now_s = self._planning, self._planning.clock()
-        check_duration(trajectory, planning.time_limits)
-        starts_in_s = check_trajectory(trajectory, self._group, self._node.message_types.wall_clock())
-        last_s = read_seconds(trajectory["points"][-1]["time_from_start"], "trajectory.points[-1].time_from_start")
+        planning, now_s, rate = self._planning, self._planning.clock(), self._arm.rate
+        last_s = checked_duration_s(trajectory, planning.time_limits)
+        starts_in_s = check_trajectory(trajectory, self._group, last_s, self._node.message_types.wall_clock())
         planning.time_limits.check_duration(starts_in_s + last_s, DURATION, MoveItErrorCode.INVALID_MOTION_PLAN)
-        # A client without a stamp has the stamp of its arrival.
-        rate = self._arm.rate
+        # A trajectory without a stamp starts at its arrival.
         stamped = abs(starts_in_s) > SAME_STAMP_S * rate
         moving = bool(self._queue.busy(self._group.joints))
         timing = TrajectoryTiming(
@@ -328,37 +326,32 @@ def violation(tolerances: Tolerances, state: ArmState, desired_rad: Positions, r
     return ""
 
 
-def check_trajectory(trajectory: Message, group: Group, now_s: float) -> float:
+def check_trajectory(trajectory: Message, group: Group, duration_s: float, now_s: float) -> float:
     """Check a trajectory's joints and time; return the time until its start by its stamp [s], 0 without a stamp.
 
-    Raises TrajectoryRefusedError for another joint, or when its time is over.
+    Raises TrajectoryRefusedError for a joint of another group, or where the motion would have ended by now.
     """
-    if not trajectory["points"]:
-        raise invalid_plan("trajectory.points is empty; to stop the arm, cancel the goal")
     unknown = [name for name in trajectory["joint_names"] if name not in group.joints]
     if unknown:
         text = f"trajectory.joint_names has {unknown[0]!r}; the controller has {', '.join(group.joints)}"
         raise TrajectoryRefusedError(FollowCode.INVALID_JOINTS, text)
     stamp_s = read_seconds(trajectory["header"]["stamp"], "trajectory.header.stamp")
-    if not stamp_s:
-        return 0.0
-    last = len(trajectory["points"]) - 1
-    last_s = read_seconds(trajectory["points"][last]["time_from_start"], f"trajectory.points[{last}].time_from_start")
-    late_s = now_s - stamp_s - last_s
-    if late_s > 0.0:
+    late_s = now_s - stamp_s - duration_s
+    if stamp_s and late_s > 0.0:
         text = f"by trajectory.header.stamp the motion would have ended {late_s:.1f} s ago; the stamp 0 starts it now"
         raise TrajectoryRefusedError(FollowCode.OLD_HEADER_TIMESTAMP, text)
-    return stamp_s - now_s
+    return stamp_s - now_s if stamp_s else 0.0
 
 
-def check_duration(trajectory: Message, limits: TimeLimits) -> None:
-    """Check that a trajectory is not too long, before it takes the place of another motion."""
+def checked_duration_s(trajectory: Message, limits: TimeLimits) -> float:
+    """Read the time of a trajectory's last point [s]; a motion that is too long takes the place of no other."""
     points = trajectory["points"]
-    if points:
-        field = f"trajectory.points[{len(points) - 1}].time_from_start"
-        limits.check_duration(
-            read_seconds(points[-1]["time_from_start"], field), field, MoveItErrorCode.INVALID_MOTION_PLAN
-        )
+    if not points:
+        raise invalid_plan("trajectory.points is empty; to stop the arm, cancel the goal")
+    field = f"trajectory.points[{len(points) - 1}].time_from_start"
+    duration_s = read_seconds(points[-1]["time_from_start"], field)
+    limits.check_duration(duration_s, field, MoveItErrorCode.INVALID_MOTION_PLAN)
+    return duration_s
 
 
 def follow_code(answer: Answer) -> FollowCode:

@@ -27,7 +27,7 @@ from server.moveit.actions.goal_bridge import (
     reject_goal,
     submit_goal,
 )
-from server.moveit.actions.joint_trajectory_controller import check_duration, checked_motion
+from server.moveit.actions.joint_trajectory_controller import checked_duration_s, checked_motion
 from server.moveit.goals.goal_topics import with_suggestion
 from server.moveit.messages import Message, error_code
 from server.moveit.requests.planning_context import PlanningContext, attached_diff
@@ -103,7 +103,6 @@ def offer_planning_actions(graph: Graph, context: PlanningContext, queue: GoalQu
                 if options["plan_only"]:
                     goal.feedback({"state": PLANNING})
                     work = plan_only(asked, goal.sender, context, options)
-                    # The goal keeps the task alive, which the event loop does not.
                     cancel = plan_without_moving(work, goal.action, lambda answer: _finish(goal, answer, result))
                     cancel_with_goal(goal, cancel)
                 else:
@@ -266,7 +265,7 @@ def offer_execute_trajectory(graph: Graph, context: PlanningContext, queue: Goal
             return
         try:
             # A trajectory that cannot be played does not replace the motion of another goal.
-            check_duration(message, context.time_limits)
+            checked_duration_s(message, context.time_limits)
             _execute(goal, queue, checked_motion(message, context), result)
         except RefusedError as error:
             reject_goal(goal, queue, error.failure, result)

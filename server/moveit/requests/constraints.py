@@ -140,7 +140,7 @@ def read_joint_constraints(
 def _constraint(message: Message, context: RequestContext, where: str) -> JointConstraint:
     joint = context.robot.joints.get(message["joint_name"])
     if joint is None or not joint.movable:
-        known = ", ".join(one.name for one in context.robot.movable_joints)
+        known = ", ".join(each.name for each in context.robot.movable_joints)
         raise invalid(
             f"{where}: there is no joint {message['joint_name']!r}; there are: {known}", joint=message["joint_name"]
         )
@@ -203,13 +203,13 @@ def read_orientation_constraint(message: Message, context: RequestContext, where
     return OrientationConstraint(link, desired.orientation, (x, y, z), _weight(message, where))
 
 
-def is_binding(tolerance_rad: Point, context: RequestContext) -> bool:
-    """Tell if an orientation outside its tolerance is an error; otherwise the nearest one is used and reported.
+def is_binding(constraint: OrientationConstraint, context: RequestContext) -> bool:
+    """Return True where an orientation outside its tolerance is an error; else the nearest is used and reported.
 
-    A group with six joints can reach any orientation, so there it is. A group with fewer rarely can: tolerances no
-    wider than those that clients fill in by default do not bind it, and wider ones, which are chosen, do.
+    A group with six joints can reach any orientation, so there it is an error. A group with fewer rarely can: it is
+    bound by tolerances that a client has chosen, which are wider than the widest that clients fill in by default.
     """
-    return chooses_orientation(context.group) or max(tolerance_rad) > DEFAULT_TOLERANCE_RAD
+    return chooses_orientation(context.group) or max(constraint.tolerance_rad) > DEFAULT_TOLERANCE_RAD
 
 
 def _tolerance(message: Message, axis: str, where: str) -> float:
@@ -232,8 +232,8 @@ def _read_regions(message: Message, context: RequestContext, where: str) -> tupl
         raise invalid(f"{where}.constraint_region.meshes: regions can be boxes, spheres and cylinders, not meshes")
     primitives, poses = list(volume["primitives"]), volume["primitive_poses"]
     if not poses:
-        what = "no pose for its primitive" if primitives else "no region: give a primitive and its pose"
-        raise invalid(f"{where}.constraint_region has {what}", link=link)
+        missing = "no pose for its primitive" if primitives else "no region: give a primitive and its pose"
+        raise invalid(f"{where}.constraint_region has {missing}", link=link)
     if len(primitives) > len(poses):
         raise invalid(f"{where}.constraint_region has {len(primitives)} primitives and {len(poses)} primitive_poses")
     primitives += [None] * (len(poses) - len(primitives))
@@ -289,77 +289,77 @@ def read_goal(messages: Sequence[Message], context: RequestContext) -> AnyGoal:
 
 def read_path_constraints(message: Message, context: RequestContext, where: str = "path_constraints") -> Constraints:
     """Read constraints that hold from start to end; the result may be :attr:`Constraints.empty`."""
-    ranges, choices, turned = _read_parts(message, context, where)
-    for index, regions in enumerate(choices):
+    joints, positions, orientations = _read_parts(message, context, where)
+    for index, regions in enumerate(positions):
         if len(regions) > 1:
             raise invalid(f"{where}.position_constraints[{index}] has {len(regions)} regions; on the way it can be one")
-    return Constraints(ranges, tuple(regions[0] for regions in choices), turned)
+    return Constraints(joints, tuple(regions[0] for regions in positions), orientations)
 
 
 def _goals(message: Message, context: RequestContext, where: str, most: int) -> Iterator[SingleGoal]:
     """Yield the alternatives of one moveit_msgs/Constraints: one goal for each combination of regions."""
-    ranges, choices, turned = _read_parts(message, context, where)
-    if not (ranges or choices or turned):
+    joints, positions, orientations = _read_parts(message, context, where)
+    if not (joints or positions or orientations):
         raise invalid(f"{where} is empty: give joint, position or orientation constraints")
     # Joints of other groups do not move: constraints on them must hold at the start.
-    for one in ranges:
-        if one.joint in context.group.joints:
+    for each in joints:
+        if each.joint in context.group.joints:
             continue
-        away = context.start_rad[one.joint] - one.position_rad
+        away = context.start_rad[each.joint] - each.position_rad
         least = context.parameters.joint_tolerance
-        if not -max(one.below_rad, least) <= away <= max(one.above_rad, least):
+        if not -max(each.below_rad, least) <= away <= max(each.above_rad, least):
             known = ", ".join(context.group.joints)
             raise invalid(
-                f"{where}: group {context.group.name!r} does not move joint {one.joint!r}; it moves: {known}",
-                joint=one.joint,
+                f"{where}: group {context.group.name!r} does not move joint {each.joint!r}; it moves: {known}",
+                joint=each.joint,
             )
-        context.warnings.append(f"joint {one.joint} is not in group {context.group.name} and stays where it is")
-    ranges = tuple(one for one in ranges if one.joint in context.group.joints)
-    count = math.prod(len(choice) for choice in choices)
-    if count > most:
+        context.warnings.append(f"joint {each.joint} is not in group {context.group.name} and stays where it is")
+    moved = tuple(each for each in joints if each.joint in context.group.joints)
+    if math.prod(map(len, positions)) > most:
         raise invalid(f"{where} and those before it have more than {MAX_ALTERNATIVES} alternatives of regions")
-    for chosen in itertools.product(*choices):
-        yield _goal(ranges, chosen, turned, context)
+    for regions in itertools.product(*positions):
+        yield _goal(moved, regions, orientations, context)
 
 
 def _goal(
-    ranges: tuple[JointConstraint, ...],
-    chosen: tuple[PositionConstraint, ...],
-    turned: tuple[OrientationConstraint, ...],
+    joints: tuple[JointConstraint, ...],
+    positions: tuple[PositionConstraint, ...],
+    orientations: tuple[OrientationConstraint, ...],
     context: RequestContext,
 ) -> SingleGoal:
-    if not (chosen or turned):
-        return JointGoal({one.joint: one.position_rad for one in ranges}, context.parameters.joint_tolerance)
-    turned = tuple(one for one in turned if min(one.tolerance_rad) < FREE_RAD) if chosen else turned
-    if not ranges and len(chosen) == 1:
-        goal = _link_goal(chosen[0], turned, context)
+    if not (positions or orientations):
+        return JointGoal({each.joint: each.position_rad for each in joints}, context.parameters.joint_tolerance)
+    if positions:
+        orientations = tuple(each for each in orientations if min(each.tolerance_rad) < FREE_RAD)
+    if not joints and len(positions) == 1:
+        goal = _link_goal(positions[0], orientations, context)
         if goal is not None:
             return goal
     # Widened so that a search can end in them.
     least = LEAST_JOINT_TOLERANCE_RAD
     solvable = (
-        replace(one, above_rad=max(one.above_rad, least), below_rad=max(one.below_rad, least)) for one in ranges
+        replace(each, above_rad=max(each.above_rad, least), below_rad=max(each.below_rad, least)) for each in joints
     )
-    return ConstraintGoal(Constraints(tuple(solvable), chosen, turned))
+    return ConstraintGoal(Constraints(tuple(solvable), positions, orientations))
 
 
 def _link_goal(
-    at: PositionConstraint, turned: tuple[OrientationConstraint, ...], context: RequestContext
+    position: PositionConstraint, orientations: tuple[OrientationConstraint, ...], context: RequestContext
 ) -> PositionGoal | PoseGoal | None:
-    """Make the goal of one link, whose failure names the nearest point; None if the constraints say more."""
+    """Make the goal of one link, whose failure names the nearest point; None where the constraints need another."""
     # Radius of the largest ball around the region's middle that is inside it.
-    within_m = at.radius_m or LEAST_TOLERANCE_M
-    if at.half_size_m is not None:
-        within_m = min(at.half_size_m)
-        if max(at.half_size_m) > ELONGATED_FACTOR * within_m:
+    within_m = position.radius_m or LEAST_TOLERANCE_M
+    if position.half_size_m is not None:
+        within_m = min(position.half_size_m)
+        if max(position.half_size_m) > ELONGATED_FACTOR * within_m:
             return None
-    if not turned:
-        return PositionGoal(at.link, at.region.position_m, within_m, at.offset_m)
-    if len(turned) > 1 or turned[0].link != at.link or any(at.offset_m):
+    if not orientations:
+        return PositionGoal(position.link, position.region.position_m, within_m, position.offset_m)
+    orientation = orientations[0]
+    if len(orientations) > 1 or orientation.link != position.link or any(position.offset_m):
         return None
-    pose = Pose(at.region.position_m, turned[0].orientation)
-    tolerance_rad = turned[0].tolerance_rad
-    return PoseGoal(at.link, pose, within_m, tolerance_rad, strict=is_binding(tolerance_rad, context))
+    pose, binding = Pose(position.region.position_m, orientation.orientation), is_binding(orientation, context)
+    return PoseGoal(position.link, pose, within_m, orientation.tolerance_rad, strict=binding)
 
 
 def _read_parts(
@@ -372,8 +372,8 @@ def _read_parts(
         _read_regions(constraint, context, f"{where}.position_constraints[{index}]")
         for index, constraint in enumerate(message["position_constraints"])
     ]
-    turned = tuple(
+    orientations = tuple(
         read_orientation_constraint(constraint, context, f"{where}.orientation_constraints[{index}]")
         for index, constraint in enumerate(message["orientation_constraints"])
     )
-    return read_joint_constraints(message["joint_constraints"], context, where), regions, turned
+    return read_joint_constraints(message["joint_constraints"], context, where), regions, orientations

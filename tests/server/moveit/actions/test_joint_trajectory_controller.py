@@ -13,7 +13,7 @@ import pytest
 from planners.problem import MoveItErrorCode
 from robot.messages import ArmState, Outcome
 from server.errors import GraphError, RefusedError
-from server.execution.goal import Answer, GoalState, Progress
+from server.execution.goal import Answer, GoalState, Progress, TimeLimits
 from server.execution.motions import ExternalTrajectory, Performed
 from server.graph.actions import GoalStatus
 from server.moveit.actions.joint_trajectory_controller import (
@@ -21,6 +21,7 @@ from server.moveit.actions.joint_trajectory_controller import (
     FollowCode,
     JointTrajectoryController,
     check_trajectory,
+    checked_duration_s,
     follow_code,
     read_segment_tolerances,
 )
@@ -206,7 +207,7 @@ REQUESTED: dict[str, Any] = {"joint_names": ["elbow_flex"], "points": [POINT], "
 def refusal(**changes: Any) -> RefusedError | None:
     trajectory = message("trajectory_msgs/msg/JointTrajectory", **{**REQUESTED, **changes})
     try:
-        check_trajectory(trajectory, ARM_GROUP, 1000.0)
+        check_trajectory(trajectory, ARM_GROUP, checked_duration_s(trajectory, TimeLimits()), 1000.0)
         external_trajectory(trajectory, ROBOT, HOME)
     except RefusedError as error:
         return error

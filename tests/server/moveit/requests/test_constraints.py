@@ -172,7 +172,7 @@ def test_chosen_tolerances_bind_five_joints_and_all_bind_seven() -> None:
         ((1e-3,), SEVEN, True),
     ):
         for each in tolerances:
-            assert is_binding(read_orientation(turned(each)).tolerance_rad, context(robot)) is binds, each
+            assert is_binding(read_orientation(turned(each)), context(robot)) is binds, each
 
 
 def test_the_goal_of_a_region_is_its_middle_and_a_cylinder_is_the_box_within_it() -> None:

@@ -72,7 +72,7 @@ STATUS_ARRAY = "actionlib_msgs/GoalStatusArray"
 
 
 def has_actionlib_types(registry: Registry, type_name: str) -> bool:
-    """Tell whether ROS 1 has an action of this type, and so the messages of its topics."""
+    """Return True if ROS 1 has an action of this type, and so the messages of its topics."""
     return registry.knows(_message_type(type_name, "ActionGoal"))
 
 
@@ -164,8 +164,8 @@ class BridgedAction:
         """Reject a goal that its sender may not send; nobody else waits for it, and it takes no place."""
         if message:
             status = {"goal_id": message["goal_id"], "status": int(ActionlibStatus.REJECTED), "text": reason}
-            self._node.tell(sender, f"{self._name}/status", {"status_list": [*self._messages(), status]})
-            self._node.tell(sender, f"{self._name}/result", {"status": status})
+            self._node.deliver_to(sender, f"{self._name}/status", {"status_list": [*self._messages(), status]})
+            self._node.deliver_to(sender, f"{self._name}/result", {"status": status})
 
     def _send(self, goal: Tracked, sender: Node, message: Mapping[str, Any]) -> None:
         at_once: list[Result] = []

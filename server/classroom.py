@@ -224,7 +224,7 @@ def supervise(members: Sequence[Member]) -> None:
     gc.collect()
     gc.freeze()
     try:
-        while not _told_to_end():
+        while not _must_end():
             now_s = time.monotonic()
             for member in members:
                 member.reap(now_s)
@@ -234,7 +234,7 @@ def supervise(members: Sequence[Member]) -> None:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _told_to_end() -> bool:
+def _must_end() -> bool:
     """Wait for a signal, for a while; return True when it asks for the end."""
     received = signal.sigtimedwait(SIGNALS, CHECK_S)
     return received is not None and received.si_signo != signal.SIGCHLD
@@ -247,7 +247,7 @@ def _end(members: Iterable[Member]) -> None:
         member.signal(signal.SIGTERM)
     until_s = time.monotonic() + END_TIMEOUT_S
     while (running := [member for member in running if not member.ended()]) and time.monotonic() < until_s:
-        if _told_to_end():
+        if _must_end():
             for member in running:
                 member.signal(signal.SIGTERM)
     for member in running:

@@ -11,7 +11,7 @@ from server.errors import ConfigurationError
 log = logging.getLogger("armbridge.interfaces")
 
 # Names in a line of the log; the rest are counted.
-MAX_NAMES_TOLD = 10
+MAX_NAMES_SHOWN = 10
 
 
 def load_registry(folders: Sequence[Path]) -> Registry:
@@ -26,17 +26,19 @@ def load_registry(folders: Sequence[Path]) -> Registry:
     except InterfaceFilesError as error:
         raise ConfigurationError(f"server.interfaces: {error}") from error
     packages, count = interfaces.packages, len(interfaces.ros1) + len(interfaces.ros2)
-    log.info("interfaces of %d packages read: %s; %d types added", len(packages), _told(packages), count)
+    log.info("interfaces of %d packages read: %s; %d types added", len(packages), _first(packages), count)
     if interfaces.unread:
-        unread = _told([str(path) for path in interfaces.unread])
+        unread = _first([str(path) for path in interfaces.unread])
         log.warning("interface files in folders that are not read: %s", unread)
     if interfaces.known:
         log.info(
-            "%d types of these packages stay as armbridge has them: %s", len(interfaces.known), _told(interfaces.known)
+            "%d types of these packages stay as armbridge has them: %s",
+            len(interfaces.known),
+            _first(interfaces.known),
         )
     return interfaces.registry()
 
 
-def _told(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:MAX_NAMES_TOLD])
-    return shown if len(names) <= MAX_NAMES_TOLD else f"{shown} and {len(names) - MAX_NAMES_TOLD} more"
+def _first(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:MAX_NAMES_SHOWN])
+    return shown if len(names) <= MAX_NAMES_SHOWN else f"{shown} and {len(names) - MAX_NAMES_SHOWN} more"

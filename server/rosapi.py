@@ -18,7 +18,7 @@ from server.errors import ServiceError
 from server.graph.index import TypedNames, is_hidden
 from server.graph.permissions import CONFIGURING, LOOKING, Node
 from server.graph.providers import CompleteResponse
-from server.graph.services import Call, failure_told
+from server.graph.services import Call, failure_answered
 from server.graph.topics import Graph
 
 # Answers of get_ros_version, by the client's dialect. Clients look releases up in lists of their own; these are in all.
@@ -274,7 +274,7 @@ def _joined(lists: Iterable[list[str]]) -> list[str]:
 
 def _responder(handler: Handler) -> Callable[[Call], None]:
     def respond(call: Call) -> None:
-        with failure_told(call):
+        with failure_answered(call):
             call.succeed(CompleteResponse(handler(Request(call.request, call.dialect))))
 
     return respond

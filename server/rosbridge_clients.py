@@ -87,11 +87,11 @@ class PublishedTopic:
 class PublishingClient(ABC):
     """Client of a server that publishes messages of one type."""
 
-    def __init__(self, target: PublishedTopic, type_name: str, tell: Callable[[str], None]) -> None:
+    def __init__(self, target: PublishedTopic, type_name: str, report: Callable[[str], None]) -> None:
         self.published = 0
         self._target = target
         self._type_name = type_name
-        self._tell = tell
+        self._report = report
         self._complaints: set[str] = set()
 
     @property
@@ -109,7 +109,7 @@ class PublishingClient(ABC):
             before = self.published
             try:
                 async with connect(url, open_timeout=OPEN_TIMEOUT_S, max_size=MAX_ANSWER_BYTES) as websocket:
-                    self._tell(f"connected to {url}")
+                    self._report(f"connected to {url}")
                     listening = asyncio.create_task(self._listen(websocket))
                     try:
                         await self.announce(websocket)
@@ -122,14 +122,14 @@ class PublishingClient(ABC):
             except (OSError, WebSocketException, TimeoutError) as error:
                 if self.published > before:
                     delay_s = FIRST_DELAY_S
-                self._tell(f"{url}: {str(error) or type(error).__name__}; trying again in {delay_s:g} s")
+                self._report(f"{url}: {str(error) or type(error).__name__}; trying again in {delay_s:g} s")
                 await asyncio.sleep(delay_s)
                 delay_s = min(2.0 * delay_s, LAST_DELAY_S)
 
     async def announce(self, connection: ClientConnection) -> None:
         if self._target.token is not None:
             await connection.send(json.dumps({"op": "auth", "token": self._target.token}))
-        # Refusals alone: a doubt about the topic would be wrong as long as nobody subscribes to it.
+        # Refusals alone: a hint at a misspelt topic would be wrong as long as nobody subscribes to it.
         await connection.send(json.dumps({"op": "set_level", "level": "error"}))
         topic = {"topic": self._target.topic, "type": self._type_name}
         await connection.send(json.dumps({"op": "advertise", **topic}))
@@ -138,15 +138,15 @@ class PublishingClient(ABC):
         await connection.send(json.dumps({"op": "publish", "topic": self._target.topic, "msg": message}))
 
     async def _listen(self, connection: ClientConnection) -> None:
-        """Tell complaints of the server for as long as the connection lasts."""
+        """Report complaints of the server for as long as the connection lasts."""
         async for frame in connection:
             with contextlib.suppress(ValueError):
                 self._complain(json.loads(frame))
 
     def _complain(self, answer: Any) -> None:
-        """Tell what a status message with an error or a warning says, once; do nothing for any other message."""
+        """Report the text of a status message with an error or a warning, once; do nothing for any other message."""
         if isinstance(answer, dict) and answer.get("op") == "status" and answer.get("level") in ("error", "warning"):
             complaint = str(answer.get("msg", ""))
             if complaint and complaint not in self._complaints and len(self._complaints) < MAX_COMPLAINTS:
                 self._complaints.add(complaint)
-                self._tell(f"{self._target.url}: {complaint}")
+                self._report(f"{self._target.url}: {complaint}")

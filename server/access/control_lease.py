@@ -107,7 +107,7 @@ class ControlLease:
         """Free the arm when its holder has idled for too long, at a monotonic time [s]."""
         if self._reserved is not None and now_s >= self._reserved[1]:
             self._reserved = None
-            self._tell_change()
+            self._report_change()
         if self.holder is None:
             return
         if self._busy() is not None:
@@ -131,15 +131,15 @@ class ControlLease:
             return
         self.holder = holder
         self.since_s = self._wall_clock()
-        self._tell_change()
+        self._report_change()
 
-    def _tell_change(self) -> None:
+    def _report_change(self) -> None:
         for lease in (self, *self.excluded_by):
             for on_change in lease.watchers:
                 on_change()
 
     def sentence(self) -> str:
-        """Return the sentence that says which client has control, also by control of other arms together with this."""
+        """Return the sentence about the client in control, also by control of other arms together with this."""
         for lease in (self, *self.excluded_by):
             if lease.holder is not None:
                 return f"{lease.holder} controls {lease.title}"

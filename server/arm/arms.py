@@ -69,11 +69,10 @@ def read_arms(settings: Settings, alone: Description | None = None) -> dict[str,
             arms[name] = _read(name, own, settings)
         except (ConfigurationError, RobotError) as error:
             raise ConfigurationError(f"arms.{name}: {error}") from error
-    for (name, one), (other, two) in itertools.combinations(settings.arms.items(), 2):
-        if one.base_xyz_m == two.base_xyz_m:
-            log.warning(
-                "arms.%s and arms.%s stand in each other: set base_xyz_m, or their goals are refused", name, other
-            )
+    for (first, arm), (second, other) in itertools.combinations(settings.arms.items(), 2):
+        if arm.base_xyz_m == other.base_xyz_m:
+            remedy = "set base_xyz_m, or their goals are refused"
+            log.warning("arms.%s and arms.%s stand in each other: %s", first, second, remedy)
     return arms
 
 
@@ -158,16 +157,16 @@ class JoinedBeat:
     """Beat in which the states of several arms, each with a clock of its own, are passed on as one."""
 
     def __init__(self, period_s: float) -> None:
-        self._least_s, self._told_s = EARLIEST * period_s, -math.inf
+        self._least_s, self._passed_on_s = EARLIEST * period_s, -math.inf
 
     def takes(self, now_s: float) -> bool:
         """Return True if an arm's state is due to be passed on with the latest states of the others.
 
         A busy machine brings the states of one arm in bursts, which are passed on once.
         """
-        if now_s - self._told_s < self._least_s:
+        if now_s - self._passed_on_s < self._least_s:
             return False
-        self._told_s = now_s
+        self._passed_on_s = now_s
         return True
 
 

@@ -122,7 +122,7 @@ class CalibrationProcedure:
         self._reservation.close()
 
     async def _relax(self, dialogue: Dialogue) -> None:
-        dialogue.tell("relaxing", "The arm is being relaxed: hold it.")
+        dialogue.show("relaxing", "The arm is being relaxed: hold it.")
         self._end_goals("the arm is being calibrated")
         done = await dialogue.until(self._arm.order(Order.RELAX), ORDER_TIMEOUT_S + SILENT_S)
         if not done.done:
@@ -136,7 +136,7 @@ class CalibrationProcedure:
 
     async def _write(self, dialogue: Dialogue) -> None:
         calibration = self._session.calibration
-        dialogue.tell("writing", "The calibration is being written to the servos.")
+        dialogue.show("writing", "The calibration is being written to the servos.")
         done = await dialogue.until(self._arm.order(Order.WRITE_CALIBRATION, calibration), ORDER_TIMEOUT_S + SILENT_S)
         if not done.done or calibration is None:
             # Some servos may have it already: write it again, and do not sweep again under other offsets.

@@ -35,7 +35,7 @@ IDLE_TIMEOUT_S = 900.0
 SHOWN_EVERY_S = 0.1
 
 # Longest name of a step and of an answer in a refusal.
-MAX_TOLD = 80
+MAX_SHOWN = 80
 
 Accepted = TypeVar("Accepted")
 
@@ -70,7 +70,7 @@ class Dialogue:
         self._failure: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     async def ask(self, step: Step, accept: Callable[[str], Accepted], current: Callable[[], Step | None]) -> Accepted:
-        """Ask until ``accept`` raises no RobotError for an answer; after a refused answer ``current`` is asked."""
+        """Ask until ``accept`` raises no RobotError for an answer; a refused answer leads to the ``current`` step."""
         accepted: asyncio.Future[Accepted] = asyncio.get_running_loop().create_future()
 
         def take(answer: str) -> None:
@@ -92,8 +92,8 @@ class Dialogue:
             raise ProcedureFailed(f"nobody has answered for {IDLE_TIMEOUT_S / 60.0:.0f} minutes")
         return accepted.result()
 
-    def tell(self, name: str, instruction: str) -> None:
-        """Show what goes on, where nothing can be answered."""
+    def show(self, name: str, instruction: str) -> None:
+        """Show a step that takes no answer."""
         self.step = Step(name, instruction, ())
         self._changed()
 
@@ -113,12 +113,12 @@ class Dialogue:
         """Take an answer to the present step; return what comes next."""
         if self._accept is None or step != self.step.name:
             raise ServiceError(
-                f"step {step[:MAX_TOLD]!r} is not asked about: the present one is {self.step.name!r}, "
+                f"step {step[:MAX_SHOWN]!r} is not asked about: the present one is {self.step.name!r}, "
                 f"{'which takes no answer' if self._accept is None else 'with ' + ', '.join(self.step.answers)}"
             )
         if answer not in self.step.answers:
             raise ServiceError(
-                f"answer {answer[:MAX_TOLD]!r} is no answer of step {step!r}: it takes {', '.join(self.step.answers)}"
+                f"answer {answer[:MAX_SHOWN]!r} is no answer of step {step!r}: it takes {', '.join(self.step.answers)}"
             )
         self._accept(answer)
         return f"{step}: {answer}"

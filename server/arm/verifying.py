@@ -127,14 +127,14 @@ class VerificationProcedure:
     async def _enable(self, dialogue: Dialogue) -> None:
         if self._arm.state.torque_enabled and self._arm.state.mode is Mode.HOLDING:
             return
-        dialogue.tell("enabling", "The arm begins to hold itself.")
+        dialogue.show("enabling", "The arm begins to hold itself.")
         done = await dialogue.until(self._arm.order(Order.ENABLE, epoch=arrival_epoch()), ORDER_TIMEOUT_S + SILENT_S)
         if not done.done:
             raise ProcedureFailed(f"the arm cannot be switched on: {done.message}")
 
     async def _reach(self, dialogue: Dialogue, pose: VerificationPose) -> None:
         """Move to the first candidate that can be reached; a refused candidate moves nothing."""
-        dialogue.tell(f"moving to {pose.name}", "The arm moves slowly: keep hands off.")
+        dialogue.show(f"moving to {pose.name}", "The arm moves slowly: keep hands off.")
         reasons: list[str] = []
         for candidate in pose.candidates:
             try:
@@ -151,7 +151,7 @@ class VerificationProcedure:
         raise ProcedureFailed(f"{pose.name} was not reached: {reasons[-1]}")
 
     async def _measure(self, dialogue: Dialogue) -> None:
-        dialogue.tell("measuring", "The arm holds still, and is measured.")
+        dialogue.show("measuring", "The arm holds still, and is measured.")
         readings = _Readings(self._arm.clock_s, asyncio.get_running_loop().create_future())
         self._readings = readings
         try:
@@ -166,7 +166,7 @@ class VerificationProcedure:
             if name in self._joints and (before is None or abs(before.droop_rad) < abs(droop)):
                 self._droops[name] = found
         dialogue.droops_rad = dict(zip(names, droop_rad, strict=True))
-        self._tell_findings(dialogue)
+        self._show_findings(dialogue)
 
     async def _compare(self, dialogue: Dialogue, pose: VerificationPose) -> None:
         question = "Does the arm look as the model does? Compare each joint, from the foot to the gripper."
@@ -182,9 +182,9 @@ class VerificationProcedure:
                     if await _choice(dialogue, step) == NO:
                         joints.add(joint)
         self._seen.append((pose.name, frozenset(joints)))
-        self._tell_findings(dialogue)
+        self._show_findings(dialogue)
 
-    def _tell_findings(self, dialogue: Dialogue) -> None:
+    def _show_findings(self, dialogue: Dialogue) -> None:
         droops = [finding for each in self._droops.values() if (finding := each.finding())]
         seen = seen_findings(self._seen, self._ends) if self._seen else []
         dialogue.findings = seen + droops

@@ -73,18 +73,18 @@ def _scan(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     names = {servo.servo_id: servo.joint for servo in servos}
     complaints: list[str] = []
     for baudrate in BAUDRATES if options.all_bauds else BAUDRATES[:1]:
-        terminal.say(f"scanning {port} at {baudrate} baud ...")
+        terminal.err(f"scanning {port} at {baudrate} baud ...")
         with contextlib.closing(Bus.open(port, baudrate)) as bus:
             result = scan(bus, tuple(names))
         if result.servos:
-            terminal.tell(table(HEADINGS, [_row(servo, names) for servo in result.servos]))
+            terminal.out(table(HEADINGS, [_row(servo, names) for servo in result.servos]))
         if baudrate == BAUDRATES[0]:
             complaints += explain_missing(result, servos)
         else:
             remedy = f"set it to {BAUDRATES[0]} (armbridge setup)"
             complaints += [f"servo {each} listens at {baudrate} baud: {remedy}" for each in sorted(result.ids)]
     for complaint in complaints:
-        terminal.say(complaint)
+        terminal.err(complaint)
     return ExitCode.PROBLEMS if complaints else ExitCode.DONE
 
 
@@ -135,7 +135,7 @@ def _doctor(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     calibration = None if name is None else load_calibration(name, hardware)
     with contextlib.closing(open_bus(options)) as bus:
         _, findings = examine_bus(bus, hardware.servos, calibration, terminal)
-    terminal.tell(as_json(findings) if options.json else _as_text(findings))
+    terminal.out(as_json(findings) if options.json else _as_text(findings))
     problems = any(finding.verdict is Verdict.PROBLEM for finding in findings)
     return ExitCode.PROBLEMS if problems else ExitCode.DONE
 
@@ -144,12 +144,12 @@ def examine_bus(
     bus: Bus, servos: Sequence[ServoSpec], calibration: Calibration | None, terminal: Terminal
 ) -> tuple[ScanResult, list[Finding]]:
     """Scan the bus, measure it and judge both; nothing is written."""
-    terminal.say("looking at the servos ...")
+    terminal.err("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     findings = judge_scan(result, servos, calibration)
     present = tuple(servo.servo_id for servo in result.servos)
     if present:
-        terminal.say(f"measuring {CYCLES} cycles at 100 Hz ...")
+        terminal.err(f"measuring {CYCLES} cycles at 100 Hz ...")
         findings += judge_cycles(measure_cycles(bus, present, CYCLES))
         block = LONG_READ_ADDRESS, LONG_READ_BYTES
         attempts = range(5)  # a single reply may get lost
@@ -198,12 +198,12 @@ def relax_arm(
     """Relax whatever holds; says which servos may still be driven. The family is Feetech's unless it is given."""
     holding, full, silent = _look(family or Feetech(), bus, servos)
     if not holding and not silent:
-        terminal.say("torque is off on all servos")
+        terminal.err("torque is off on all servos")
         return ExitCode.DONE
     if len(silent) == len(servos):
-        terminal.say("no servo answers: see armbridge scan")
+        terminal.err("no servo answers: see armbridge scan")
         return ExitCode.FAILED
-    terminal.say("relaxing: support the arm ...")
+    terminal.err("relaxing: support the arm ...")
     # Broken off halfway, servos would hold with the torque that is left.
     with signals_wait():
         if family is not None and family.watchdog is not None:
@@ -212,9 +212,9 @@ def relax_arm(
         driven = run_to_end(relax(bus, [servo.servo_id for servo in servos], holding, full))
     if driven:
         listed = ", ".join(f"{servo.joint} (id {servo.servo_id})" for servo in servos if servo.servo_id in driven)
-        terminal.say(f"{listed} may still be driven: torque off could not be verified. Cut the servos' supply.")
+        terminal.err(f"{listed} may still be driven: torque off could not be verified. Cut the servos' supply.")
         return ExitCode.PROBLEMS
-    terminal.say("torque is off on all servos")
+    terminal.err("torque is off on all servos")
     return ExitCode.DONE
 
 

@@ -74,16 +74,16 @@ def _write_back(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     with signals_as_ctrl_c(), contextlib.closing(open_bus(options)) as bus:
         changes = differences(calibration, _all_there(bus, hardware.servos, terminal))
         if not changes:
-            terminal.say("the servos hold these values already")
+            terminal.err("the servos hold these values already")
             return ExitCode.DONE
-        terminal.say(_differences_table(changes))
+        terminal.err(_differences_table(changes))
         question = "Torque will be switched off, the arm sinks, and these values are written: hold it. Go on?"
         if not options.yes and not terminal.confirm(question):
             return ExitCode.FAILED
         if relax_arm(bus, hardware.servos, terminal) is not ExitCode.DONE:
             return ExitCode.FAILED
         run_to_end(write_to_servos(bus, changes))
-    terminal.say("written to the servos")
+    terminal.err("written to the servos")
     return ExitCode.DONE
 
 
@@ -102,7 +102,7 @@ def _calibrate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
 
 
 def _all_there(bus: Bus, servos: Sequence[ServoSpec], terminal: Terminal) -> dict[int, Mapping[Register, int]]:
-    terminal.say("looking at the servos ...")
+    terminal.err("looking at the servos ...")
     result = scan(bus, tuple(servo.servo_id for servo in servos))
     if missing := explain_missing(result, servos):
         raise StartupError("; ".join(missing))
@@ -126,18 +126,18 @@ class _Conversation:
         session, terminal = self.session, self.terminal
         while (step := session.step) is not None:
             if step.name == WRITE and session.calibration is not None:
-                terminal.say(_calibration_table(session.calibration))
+                terminal.err(_calibration_table(session.calibration))
                 for finding in session.findings:
-                    terminal.say(f"* {finding}")
+                    terminal.err(f"* {finding}")
                 if session.to_mend:
-                    terminal.say(f"nothing is written: mend {', '.join(session.to_mend)}, then calibrate again")
+                    terminal.err(f"nothing is written: mend {', '.join(session.to_mend)}, then calibrate again")
                     return ExitCode.PROBLEMS
             try:
                 act = session.answer(self._answer(step))
             except CalibrationError as error:
                 if not session.ranges() or session.step is None:
                     raise
-                terminal.say(str(error))
+                terminal.err(str(error))
                 continue
             if act is Act.RELAX:
                 if relax_arm(self.bus, session.servos, terminal) is not ExitCode.DONE:
@@ -176,18 +176,18 @@ class _Conversation:
             raise CalibrationError(str(self.path), "", "there is no result")
         changes = differences(calibration, scan(self.bus, self.ids).registers)
         if session.recentre and changes:
-            terminal.say("writing to the servos:")
-            terminal.say(_differences_table(changes))
+            terminal.err("writing to the servos:")
+            terminal.err(_differences_table(changes))
             run_to_end(write_to_servos(self.bus, changes))
         elif session.recentre:
-            terminal.say("the servos hold these values already")
+            terminal.err("the servos hold these values already")
         elif changes:
-            terminal.say("the servos' angle limits stay as they are (--write-servos would change them):")
-            terminal.say(_differences_table(changes))
+            terminal.err("the servos' angle limits stay as they are (--write-servos would change them):")
+            terminal.err(_differences_table(changes))
         save(calibration, self.path)
         session.finish()
-        terminal.tell(_calibration_table(calibration))
-        terminal.say(f"written to {self.path}; armbridge verify has a running server compare the arm with it")
+        terminal.out(_calibration_table(calibration))
+        terminal.err(f"written to {self.path}; armbridge verify has a running server compare the arm with it")
 
 
 def _calibration_table(calibration: Calibration) -> str:

@@ -76,9 +76,9 @@ def _certificate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         outcome = issue_certificate(files, (*options.names, *own))
         tokens, token = ensure_token(files.directory)
     except ConfigurationError as error:
-        terminal.say(f"armbridge: {error}")
+        terminal.err(f"armbridge: {error}")
         return ExitCode.FAILED
-    terminal.tell(description_of(files, outcome, tokens, token))
+    terminal.out(description_of(files, outcome, tokens, token))
     return ExitCode.DONE
 
 

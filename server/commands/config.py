@@ -30,9 +30,9 @@ def add_config_parser(subparsers: Subparsers) -> None:
 
 def _config(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     if options.template:
-        terminal.tell(template(Settings).rstrip("\n"))
+        terminal.out(template(Settings).rstrip("\n"))
         return ExitCode.DONE
-    terminal.tell(table(("setting", "value", "unit", "source"), list(_rows(*read_settings(options)))))
+    terminal.out(table(("setting", "value", "unit", "source"), list(_rows(*read_settings(options)))))
     return ExitCode.DONE
 
 
@@ -73,7 +73,7 @@ def add_systemd_unit_parser(subparsers: Subparsers) -> None:
 
 def _systemd_unit(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     command = server_command(Path(sys.executable))
-    terminal.tell(unit(command, options.config, options.user, options.group).rstrip())
+    terminal.out(unit(command, options.config, options.user, options.group).rstrip())
     return ExitCode.DONE
 
 

@@ -68,11 +68,11 @@ def _export(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         video=not options.no_video,
         max_gap_s=options.max_gap,
     )
-    done = export(chosen, load_registry(options.interfaces or ()), terminal.say)
+    done = export(chosen, load_registry(options.interfaces or ()), terminal.err)
     for problem in done.problems:
-        terminal.say(f"* {problem}")
+        terminal.err(f"* {problem}")
     cameras = ", ".join(done.cameras) or "no camera"
-    terminal.tell(
+    terminal.out(
         f"{options.output}: {done.episodes} episodes, {done.frames} frames at {options.fps} a second, {cameras};"
         f" actions: {done.actions}"
     )

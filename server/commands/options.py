@@ -182,20 +182,20 @@ def guarded(command: Callable[[Terminal], ExitCode]) -> ExitCode:
     try:
         return command(terminal)
     except PortBusy as error:
-        terminal.say(f"armbridge: {error}. If that is armbridge serve, stop it first or use its services.")
+        terminal.err(f"armbridge: {error}. If that is armbridge serve, stop it first or use its services.")
     except (ConfigurationError, DescriptionError) as error:
-        terminal.say(f"armbridge: {error}")
+        terminal.err(f"armbridge: {error}")
         return ExitCode.USAGE
     except (RobotError, ServerError, PlannerError) as error:
-        terminal.say(f"armbridge: {error}")
+        terminal.err(f"armbridge: {error}")
     except BrokenPipeError:
         raise
     except OSError as error:
         # A path that is too long, or one through a folder of somebody else; a full disk names no file.
         place = "" if error.filename is None else f"{str(error.filename)[:200]}: "
-        terminal.say(f"armbridge: {place}{error.strerror or error}")
+        terminal.err(f"armbridge: {place}{error.strerror or error}")
     except KeyboardInterrupt:
-        terminal.say("armbridge: stopped")
+        terminal.err("armbridge: stopped")
     return ExitCode.FAILED
 
 

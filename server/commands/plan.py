@@ -54,5 +54,5 @@ def _plan(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     try:
         return ExitCode(plan_command.run(chosen, robot, sys.stdout, sys.stderr))
     except KeyboardInterrupt:
-        terminal.say("armbridge: stopped before every problem was planned")
+        terminal.err("armbridge: stopped before every problem was planned")
         return ExitCode.FAILED

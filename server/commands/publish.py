@@ -62,12 +62,12 @@ def _camera(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     target = PublishedTopic(options.connect, options.topic, token_from_environment())
     source = open_source(options.device, options.width)
     chosen = CameraOptions(options.fps, options.width, options.quality, options.device)
-    client = CameraClient(target, chosen, source, terminal.say)
+    client = CameraClient(target, chosen, source, terminal.err)
     by_signal = asyncio.run(run_until_signal(client.run()))
-    terminal.tell(f"{client.published} images published on {options.topic}")
+    terminal.out(f"{client.published} images published on {options.topic}")
     if by_signal or client.finite:
         return ExitCode.DONE
-    terminal.say(f"armbridge: the camera {options.device} gives no more images; is it plugged in?")
+    terminal.err(f"armbridge: the camera {options.device} gives no more images; is it plugged in?")
     return ExitCode.FAILED
 
 
@@ -118,5 +118,5 @@ def _leader(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         None, {"arm": {key: value for key, value in given.items() if value is not None}, "emulator": emulator}
     )
     target = PublishedTopic(options.connect, options.topic, token)
-    by_signal = asyncio.run(publish_leader(target, settings, terminal.say))
+    by_signal = asyncio.run(publish_leader(target, settings, terminal.err))
     return ExitCode.DONE if by_signal else ExitCode.FAILED

@@ -48,11 +48,11 @@ def _report(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     # Imported when it is needed: --help answers without the server's libraries.
     from server.monitoring.report import CONTENTS
 
-    terminal.say("This collects, without tokens, passwords and keys:")
+    terminal.err("This collects, without tokens, passwords and keys:")
     for name, content in CONTENTS.items():
-        terminal.say(f"  {name:14} {content}")
+        terminal.err(f"  {name:14} {content}")
     if path.exists():
-        terminal.say(f"armbridge: {path} exists already: name another file (--output)")
+        terminal.err(f"armbridge: {path} exists already: name another file (--output)")
         return ExitCode.FAILED
     try:
         packed, sizes = collect(options, terminal)
@@ -60,12 +60,12 @@ def _report(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
             file.write(packed)
     except OSError as error:
-        terminal.say(f"armbridge: the report cannot be written: {error}")
+        terminal.err(f"armbridge: the report cannot be written: {error}")
         return ExitCode.FAILED
     for name, size in sizes.items():
-        terminal.say(f"  {name} ({size} bytes)")
-    terminal.tell(f"written to {path}")
-    terminal.say("It names files, serial ports and addresses of clients: look into it before you publish it.")
+        terminal.err(f"  {name} ({size} bytes)")
+    terminal.out(f"written to {path}")
+    terminal.err("It names files, serial ports and addresses of clients: look into it before you publish it.")
     return ExitCode.DONE
 
 
@@ -98,7 +98,7 @@ def collect(options: argparse.Namespace, terminal: Terminal) -> tuple[bytes, dic
         if file is not None:
             report.add_file("arm/calibration.json", file)
     faults = {settings.diagnostics.directory(data_directory(os.environ))}
-    terminal.say("looking for a running server ...")
+    terminal.err("looking for a running server ...")
     named: set[Path] | None = set()
     with report.part("server"):
         strongest = max(tokens, key=lambda token: tokens[token].role, default=None)
@@ -131,7 +131,7 @@ def _add_bus(report: Report, settings: Settings, terminal: Terminal) -> None:
         report.note(f"bus: the arm has hardware of the kind {description.hardware.kind}; only Feetech servos are read")
         return
     port = resolve_port(settings.arm.serial)
-    terminal.say(f"reading the servos on {port} ...")
+    terminal.err(f"reading the servos on {port} ...")
     calibration = description.calibration if description.calibration_file is not None else None
     with contextlib.closing(Bus.open(port)) as bus:
         result, findings = examine_bus(bus, description.hardware.servos, calibration, terminal)

@@ -38,7 +38,7 @@ def add_robot_parser(subparsers: Subparsers) -> None:
 def _check(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     found = robot_folder.problems(options.folder)
     for problem in found:
-        terminal.tell(problem)
+        terminal.out(problem)
     if found:
         return ExitCode.PROBLEMS
     resolved = robot_folder.resolve(options.folder)
@@ -50,16 +50,16 @@ def _check(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         if not resolved.model.hulls:
             link_shapes(resolved.model)
     except (DescriptionError, PlannerError) as error:
-        terminal.tell(str(error))
+        terminal.out(str(error))
         return ExitCode.PROBLEMS
-    terminal.tell(_summary(resolved))
+    terminal.out(_summary(resolved))
     return ExitCode.DONE
 
 
 def _list(_options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     arms = [robot_folder.built_in(name) for name in robot_folder.built_in_names()]
     rows = [(arm.name, arm.title, len(arm.model.movable_joints), arm.hardware.kind) for arm in arms]
-    terminal.tell(table(("name", "arm", "joints", "hardware"), rows))
+    terminal.out(table(("name", "arm", "joints", "hardware"), rows))
     return ExitCode.DONE
 
 
@@ -143,13 +143,13 @@ def _import(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
             convex=not options.no_convex,
             overwrite=options.overwrite,
         )
-        lines = importing.import_robot(chosen, terminal.say)
+        lines = importing.import_robot(chosen, terminal.err)
     except KeyboardInterrupt:
-        terminal.say("armbridge: stopped; nothing was written")
+        terminal.err("armbridge: stopped; nothing was written")
         return ExitCode.FAILED
-    terminal.tell(f"{out} is made:")
+    terminal.out(f"{out} is made:")
     for line in lines:
-        terminal.tell(f"  {line}")
+        terminal.out(f"  {line}")
     # The bare name of a built-in arm is the built-in arm.
-    terminal.tell(f"next: armbridge serve --robot {out if out.is_absolute() else f'./{out}'}")
+    terminal.out(f"next: armbridge serve --robot {out if out.is_absolute() else f'./{out}'}")
     return ExitCode.DONE

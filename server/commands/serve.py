@@ -148,6 +148,6 @@ def _emulate(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
     try:
         run_emulator(options)
     except (ValueError, OSError) as error:
-        terminal.say(f"armbridge: {error}")
+        terminal.err(f"armbridge: {error}")
         return ExitCode.FAILED
     return ExitCode.DONE

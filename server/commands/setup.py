@@ -89,11 +89,11 @@ def _set_up(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
         try:
             return visit.restore(options.restore) if options.restore else visit.set_up()
         except KeyboardInterrupt:
-            terminal.say("broken off: the servos keep what was written to them; run the command again to go on")
+            terminal.err("broken off: the servos keep what was written to them; run the command again to go on")
             raise
         finally:
             if not backup.empty:
-                terminal.say(f"registers from before: {backup.path} (armbridge setup --restore FILE)")
+                terminal.err(f"registers from before: {backup.path} (armbridge setup --restore FILE)")
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class _Visit:
 
     def set_up(self) -> ExitCode:
         """Set the servos up: together if all have their ids, otherwise one by one."""
-        self.terminal.say("looking at the servos ...")
+        self.terminal.err("looking at the servos ...")
         present = self._present()
         if self.options.registers or all(joint.servo_id in present for joint in self.arm):
             if missing := [f"{each.servo_id} ({each.joint})" for each in self.chosen if each.servo_id not in present]:
@@ -138,17 +138,17 @@ class _Visit:
             there = [(joint, present[joint.servo_id]) for joint in self.chosen if joint.servo_id in present]
             if there:
                 profile = self._profile(there)
-                self.terminal.say(
+                self.terminal.err(
                     f"the servos have their ids; their settings are compared with the profile {profile.name}"
                 )
                 self._carry_out([self._work(joint, servo, profile) for joint, servo in there])
         else:
-            self.terminal.say(
+            self.terminal.err(
                 f"New servos all have the id {FACTORY_ID}: connect one at a time. Those that got another id may stay "
                 "connected."
             )
             for step, joint in enumerate(reversed(self.chosen), start=1):
-                self.terminal.say(f"\nstep {step} of {len(self.chosen)}: {joint.joint}, id {joint.servo_id}")
+                self.terminal.err(f"\nstep {step} of {len(self.chosen)}: {joint.joint}, id {joint.servo_id}")
                 # Any new servo may be the one with the factory's id.
                 self._set_up_one(joint, present.get(joint.servo_id) if joint.servo_id != FACTORY_ID else None)
         return self._end()
@@ -163,7 +163,7 @@ class _Visit:
                 continue
             before = known[servo.servo_id]
             if before.servo_id != servo.servo_id and len(found) > 1:
-                self.terminal.say(
+                self.terminal.err(
                     f"servo {servo.servo_id} ({before.joint}) keeps its id and baud rate: connect it alone to restore "
                     f"its id {before.servo_id} too"
                 )
@@ -182,14 +182,14 @@ class _Visit:
         except (StartupError, NoReply) as error:
             if self.options.registers:
                 raise
-            self.terminal.say(str(error))
+            self.terminal.err(str(error))
             return {}
         return {servo.servo_id: servo for servo in found}
 
     def _find(self, ids: Collection[int]) -> list[ServoRegisters]:
         """Return the servos at the first baud rate at which any answers."""
         for baudrate in BAUDRATES:
-            self.terminal.say(f"looking at {baudrate} baud ...")
+            self.terminal.err(f"looking at {baudrate} baud ...")
             if found := look(self.line, baudrate, ids):
                 return found
         raise StartupError(NO_ANSWER)
@@ -201,11 +201,11 @@ class _Visit:
                 if servo is None:
                     self.terminal.await_enter(f"Plug in the servo of {joint.joint}")
                     only_joint = len(self.options.joint or ()) == 1
-                    servo = search(self.line, joint, self.arm, self.terminal.say, only_joint=only_joint)
+                    servo = search(self.line, joint, self.arm, self.terminal.err, only_joint=only_joint)
                 self._carry_out([self._work(joint, servo, self._profile([(joint, servo)]))])
             except (StartupError, NoReply, PortError) as error:
                 self.line.close()
-                self.terminal.say(str(error))
+                self.terminal.err(str(error))
                 servo = None
             else:
                 return
@@ -226,11 +226,11 @@ class _Visit:
             if complaint := supply_complaint(each.servo):
                 self._complain(complaint)
             if not needs_writing(each.servo, each.changes):
-                self.terminal.say(f"{each.joint} (id {each.servo.servo_id}) is in order: nothing to write")
+                self.terminal.err(f"{each.joint} (id {each.servo.servo_id}) is in order: nothing to write")
         pending = [each for each in work if needs_writing(each.servo, each.changes)]
         if not pending:
             return
-        self.terminal.say(_differences(pending))
+        self.terminal.err(_differences(pending))
         if not self.options.yes and not self.terminal.confirm("The servos go limp: support the arm. Write this?"):
             self._complain(f"left as they are: {', '.join(each.joint for each in pending)}")
             return
@@ -246,16 +246,16 @@ class _Visit:
             which = f"{number} of {len(pending)}: " if len(pending) > 1 else ""
             names = ", ".join(change.register.name for change in each.changes)
             written = f"written and read back {names}; " if names else ""
-            self.terminal.say(f"{which}{each.joint} (id {after.servo_id}): {written}EPROM locked")
+            self.terminal.err(f"{which}{each.joint} (id {after.servo_id}): {written}EPROM locked")
 
     def _complain(self, text: str) -> None:
         self.problems = True
-        self.terminal.say(text)
+        self.terminal.err(text)
 
     def _end(self) -> ExitCode:
         if self.problems:
             return ExitCode.PROBLEMS
-        self.terminal.say("done")
+        self.terminal.err("done")
         return ExitCode.DONE
 
 

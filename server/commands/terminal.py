@@ -42,10 +42,12 @@ class Terminal:
         self._received = b""
         self._live_lines = 0
 
-    def tell(self, text: str) -> None:
+    def out(self, text: str) -> None:
+        """Print a result on stdout."""
         print(text, flush=True)  # noqa: T201 - the command's own output
 
-    def say(self, text: str) -> None:
+    def err(self, text: str) -> None:
+        """Print progress, or a question, on stderr."""
         self._live_lines = 0
         print(text, file=sys.stderr, flush=True)  # noqa: T201 - the command's own output
 
@@ -62,7 +64,7 @@ class Terminal:
         if os.isatty(self._input):
             termios.tcflush(self._input, termios.TCIFLUSH)
             self._received = b""
-        self.say(question)
+        self.err(question)
 
     def confirm(self, question: str) -> bool:
         """Ask a question; whatever is not yes is no."""

@@ -66,14 +66,14 @@ class VerificationClient:
             try:
                 self._call(ANSWER, {"step": step, "answer": answer})
             except ServerLost as refusal:
-                self._terminal.say(str(refusal))
+                self._terminal.err(str(refusal))
                 self._show()
             else:
                 self._client.receive(ANSWER_TIMEOUT_S)
         findings = self._state["findings"]
         for finding in findings:
-            self._terminal.tell(f"* {finding}")
-        self._terminal.tell(self._state["result"])
+            self._terminal.out(f"* {finding}")
+        self._terminal.out(self._state["result"])
         if "ended early" in self._state["result"]:
             return ExitCode.FAILED
         return ExitCode.PROBLEMS if findings else ExitCode.DONE
@@ -86,7 +86,7 @@ class VerificationClient:
             if each["droop_rad"] is not None
         ]
         if measured and answers:
-            self._terminal.say(table(("joint", "deg from its goal"), measured))
+            self._terminal.err(table(("joint", "deg from its goal"), measured))
         if instruction := self._state.get("instruction", ""):
             self._terminal.ask(f"{instruction}{prompt(answers)}")
 

@@ -210,9 +210,9 @@ class CameraClient(PublishingClient):
     """Client that publishes a camera's images, each when the server has taken the last: a slow network gets fewer."""
 
     def __init__(
-        self, target: PublishedTopic, options: CameraOptions, source: ImageSource, tell: Callable[[str], None]
+        self, target: PublishedTopic, options: CameraOptions, source: ImageSource, report: Callable[[str], None]
     ) -> None:
-        super().__init__(target, IMAGE_TYPE, tell)
+        super().__init__(target, IMAGE_TYPE, report)
         self.finite = source.finite
         self._options = options
         self._arrived = asyncio.Event()

@@ -44,7 +44,7 @@ ARM_PATH = "meta/armbridge.json"
 NO_TASK = "no task named"
 NEXT_STATE = "the next state"
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 class ExportError(ServerError):
@@ -77,7 +77,7 @@ class Exported:
     problems: tuple[str, ...]
 
 
-def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
+def export(options: ExportOptions, registry: Registry, report: Report) -> Exported:
     """Write a dataset of a recording; raises ServerError and OSError."""
     _check(options)
     path, problems = options.recording, list[str]()
@@ -91,9 +91,9 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
     found = _episodes_of(samples, state_topic, joints, topics, options, problems)
     episodes = [_in_units(frames, joints, samples, options) for frames, _ in found]
     for topic, encoding in samples.left_out.items() if options.video else ():
-        tell(f"{path}: {topic} is left out: its images are {encoding}")
+        report(f"{path}: {topic} is left out: its images are {encoding}")
     count = sum(each.count for each in episodes)
-    tell(f"{path}: {len(episodes)} episodes, {count} frames")
+    report(f"{path}: {len(episodes)} episodes, {count} frames")
     if not episodes:
         reasons = f"{'; '.join(problems)}; gaps are allowed up to --max-gap" if problems else "none is left"
         raise ExportError(f"no episode can be exported: {reasons}")
@@ -103,7 +103,7 @@ def export(options: ExportOptions, registry: Registry, tell: Tell) -> Exported:
         root = Path(folder) / "dataset"
         root.mkdir()
         if topics:
-            tell(f"{path}: writing {len(topics)} videos ...")
+            report(f"{path}: writing {len(topics)} videos ...")
         cameras = _write_videos(root, topics, episodes, options, registry)
         lerobot.write(root, lerobot.Dataset(options.fps, joints, samples.robot or None, episodes, cameras))
         lerobot.write_json(root, ARM_PATH, _arm_of(samples, joints, options))

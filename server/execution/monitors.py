@@ -104,7 +104,7 @@ class CurrentScene:
         self._callbacks: list[Callable[[], None]] = []
 
     def on_change(self, callback: Callable[[], None]) -> None:
-        """Have this called after every change, also after those that planners do not see."""
+        """Call ``callback`` after every change, also after changes that planners do not see."""
         self._callbacks.append(callback)
 
     def changed(self) -> None:

@@ -160,7 +160,7 @@ class Client:
         else:
             self.status.acknowledge(operation)
         if self.session.dialect != dialect:
-            self.status.tell(
+            self.status.report(
                 "info", operation, "its type exists only in ROS 1, whose spelling this client gets from now on"
             )
 
@@ -223,10 +223,10 @@ class Client:
 
     def _authenticate(self, operation: ops.Auth) -> None:
         """Give the client the identity of the token that it shows, or disconnect it."""
-        context, node, tell = self._context, self.node, self.status.tell
+        context, node, report = self._context, self.node, self.status.report
         access, throttle, connection = context.gateway.access, context.gateway.throttle, context.connection
         if not access.tokens.any:
-            tell("info", operation, "this server has no tokens; nothing changes")
+            report("info", operation, "this server has no tokens; nothing changes")
             return
         wait = throttle.refusal(connection.address)
         if wait is not None:
@@ -247,7 +247,7 @@ class Client:
         # The same token may come again and again.
         if is_new:
             log.info("%s is %s, with the role %s", former, node.name, role)
-        tell("info", operation, f"this client is {identity.name}, with the role {role}")
+        report("info", operation, f"this client is {identity.name}, with the role {role}")
 
     def _disconnect(self, reason: str) -> None:
         self.node.identity = None

@@ -91,7 +91,7 @@ class ClientStatus:
         self._context.wake()
 
     def reject(self, operation: Operation, reason: str) -> None:
-        """Report an operation that the client may not do; repeated ones are logged once, for they may come fast."""
+        """Report an operation that the client may not do; the same one again is not logged: it may come fast."""
         text = one_line(f"{operation.op}: {reason}")
         if text != self._last_rejection:
             self._log(logging.WARNING, f"{self._node}: refused: {text}")
@@ -108,7 +108,7 @@ class ClientStatus:
         else:
             self._refuse(Refusal(op, id_, text), unasked=isinstance(error, GraphError))
 
-    def tell(self, level: Literal["error", "warning", "info"], operation: Operation, text: str) -> None:
+    def report(self, level: Literal["error", "warning", "info"], operation: Operation, text: str) -> None:
         """Report on an operation that is carried out, or an error that is logged elsewhere."""
         if self._session.status_level == "none":
             return
@@ -116,18 +116,18 @@ class ClientStatus:
         self._context.wake()
 
     @property
-    def hears_doubts(self) -> bool:
+    def gets_hints(self) -> bool:
         """True when the client has asked for status messages, or has had nothing carried out yet."""
         return self._unasked_errors_left > 0 or self._session.status_level != "none"
 
-    def doubt(self, operation: Operation, text: str) -> None:
-        """Warn of an operation that is carried out but was most likely not meant so."""
+    def hint(self, operation: Operation, text: str) -> None:
+        """Warn of an operation that is carried out, but has most likely a slip."""
         self._session.status("warning", f"{operation.op}: {text}", operation.id, unasked=self._unasked_errors_left > 0)
         self._context.wake()
 
     def acknowledge(self, operation: Operation) -> None:
         """Confirm an operation that has no answer of its own."""
-        # Who has only shown a token has not shown yet that its other operations are right.
+        # A client that has shown a token may still spell all other operations wrongly.
         if self._unasked_errors_left and not isinstance(operation, ops.Auth):
             self._unasked_errors_left = 0
         if self._session.status_level == "none":
@@ -136,12 +136,12 @@ class ClientStatus:
         if done is None:
             return
         field, words = done
-        self.tell("info", operation, f"{field} {getattr(operation, field)}: {words}")
+        self.report("info", operation, f"{field} {getattr(operation, field)}: {words}")
         if isinstance(operation, ops.Advertise | ops.Subscribe) and operation.qos:
-            self.tell("warning", operation, "field qos: has no effect")
+            self.report("warning", operation, "field qos: has no effect")
         if isinstance(operation, ops.Subscribe) and operation.compression != operation.encoding:
             unknown = f"wanted none, png, cbor or cbor-raw, got {describe(operation.compression)}"
-            self.tell("warning", operation, f"field compression: {unknown}; messages come as with none")
+            self.report("warning", operation, f"field compression: {unknown}; messages come as with none")
 
     def set_level(self, operation: ops.SetLevel) -> None:
         self._unasked_errors_left = 0

@@ -48,7 +48,7 @@ class _Requests(Generic[AnyRequest]):
         self._offered.add(name)
         if former not in (None, self._node):
             text = f"{self._kind} {spelled}: takes the place of another client's"
-            self._client.status.tell("warning", operation, text)
+            self._client.status.report("warning", operation, text)
 
     def _withdraw(self, operation: Operation, spelled: str) -> None:
         name = qualify(spelled)
@@ -135,7 +135,7 @@ class ClientServices(_Requests[Call]):
 
         def answer(response: Response) -> None:
             if response.reason:
-                self._client.status.tell("error", operation, f"service {operation.service}: {response.reason}")
+                self._client.status.report("error", operation, f"service {operation.service}: {response.reason}")
             self._answer(operation.service, id_, response, type_name)
 
         if (problem := self._problem(plans=plans)) is not None:

@@ -48,16 +48,16 @@ class ClientTopics:
                 self._graph.unadvertise(self._node, topic)
             raise
         if operation.latch and not self._latches(operation):
-            self._client.status.tell("warning", operation, NO_LATCH)
-        self._doubt_misspelt(operation, topic)
+            self._client.status.report("warning", operation, NO_LATCH)
+        self._hint_at_misspelt(operation, topic)
 
-    def _doubt_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
-        if not self._client.status.hears_doubts:
+    def _hint_at_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
+        if not self._client.status.gets_hints:
             return
         if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
             meant = self._graph.nearest_topic(topic)
             if meant is not None:
-                self._client.status.doubt(operation, f"topic {topic}: nobody else uses it; did you mean {meant}?")
+                self._client.status.hint(operation, f"topic {topic}: nobody else uses it; did you mean {meant}?")
 
     def unadvertise(self, operation: Unadvertise) -> None:
         topic = qualify(operation.topic)
@@ -74,7 +74,7 @@ class ClientTopics:
             lost = NO_LATCH
         lost = lost or self._graph.remarks.get(topic)
         if lost is not None:
-            self._client.status.tell("warning", operation, lost)
+            self._client.status.report("warning", operation, lost)
         if not operation.latch:
             reader = self._graph.strict_reader(self._node, topic)
             if reader is not None and len(self._strict_topics) < MAX_STRICT_TOPICS:
@@ -135,7 +135,7 @@ class ClientTopics:
             queued = [self._queue(published) for published in earlier]
             if any(queued):
                 self._client.wake()
-            self._doubt_misspelt(operation, topic)
+            self._hint_at_misspelt(operation, topic)
         elif (latched := self._graph.latched(topic)) is not None:
             self._deliver(latched)
 

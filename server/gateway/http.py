@@ -393,12 +393,12 @@ class HttpHandler:
                 return await self._docs_file(inner, gzipped)
             return await self._page_file(name, gzipped)
         except FileTooLargeError as error:
-            self._tell(_sentence(error))
+            self._log_unserved(_sentence(error))
             return HttpResponse.of_text(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, _sentence(error), _cors(area))
         except ServiceError as error:
             return HttpResponse.of_text(HTTPStatus.NOT_FOUND, _sentence(error), _cors(area))
         except OSError as error:
-            self._tell(f"{name!r} cannot be read: {error.strerror}")
+            self._log_unserved(f"{name!r} cannot be read: {error.strerror}")
             return HttpResponse.of_text(HTTPStatus.INTERNAL_SERVER_ERROR, f"{name!r} cannot be read", _cors(area))
 
     async def _page_file(self, name: str, gzipped: bool) -> HttpResponse:
@@ -428,7 +428,7 @@ class HttpHandler:
             file = await self._robot_files.read(lambda: files.find(url), gzipped=gzipped)
         return HttpResponse.of_file(file, media_type(name), _ASK_AGAIN, _cors(ROBOT))
 
-    def _tell(self, sentence: str) -> None:
+    def _log_unserved(self, sentence: str) -> None:
         self._log.write(log, logging.WARNING, f"not served: {sentence}", sentence)
 
 

@@ -56,7 +56,7 @@ class Tls:
         self._latest = self.context = self._read()
         # Called in every handshake, also when the client names no server.
         self.context.sni_callback = self._use_latest
-        self.context.sslobject_class = _handshakes(self._tell_plain_text)
+        self.context.sslobject_class = _handshakes(self._log_plain_text)
 
     def reload(self) -> None:
         """Read the files again; files that cannot be used change nothing and are named in the log."""
@@ -70,7 +70,7 @@ class Tls:
     def _use_latest(self, connection: ssl.SSLObject, _name: str | None, _context: ssl.SSLContext) -> None:
         connection.context = self._latest
 
-    def _tell_plain_text(self) -> None:
+    def _log_plain_text(self) -> None:
         """Log once that a client does not encrypt: asyncio closes its connection without a word."""
         line = "refused: a client speaks ws:// or http://, and here is wss:// and https://"
         self._log.write(log, logging.WARNING, line, "plain text")
@@ -181,11 +181,11 @@ FREE_PORT_TRIES = 5
 _NOT_HERE = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)
 
 # Family and address to listen on, as `getaddrinfo` returns them.
-Place: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]
+SocketAddress: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]
 
-# Files besides the clients': planners, the arm, recordings, the page, connections that are refused, and those whose
-# TLS handshake is not done. A server that may open few files keeps half of them for that.
-SPARE = 256
+# Files besides the clients': of planners, the arm, recordings, the page, refused connections, and connections whose TLS
+# handshake is not done. A server that may open few files keeps half of them for these.
+SPARE_FILES = 256
 
 
 class WaitingConnections:
@@ -193,11 +193,11 @@ class WaitingConnections:
 
     def __init__(self, listening: socket.socket) -> None:
         self._listening = listening
-        # Number of those that came before the last stop, and the epoch in which they count as arrived.
+        # Number of the connections that came before the last stop, and the epoch in which they count as arrived.
         self._older, self._epoch = 0, 0
 
     def date_unread(self) -> None:
-        """Note that those that wait now have come before a stop."""
+        """Note that the connections that wait now have come before a stop."""
         try:
             info = self._listening.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, TCP_INFO_BYTES)
         except OSError:
@@ -379,7 +379,7 @@ class Listener:
             self.traffic.remove(connection)
 
 
-async def resolve(host: str, port: int) -> list[Place]:
+async def resolve(host: str, port: int) -> list[SocketAddress]:
     """Resolve the addresses of a host, empty for every address of this machine, or raise StartError."""
     try:
         found = await asyncio.get_running_loop().getaddrinfo(
@@ -391,7 +391,7 @@ async def resolve(host: str, port: int) -> list[Place]:
     return list(dict.fromkeys((family, address) for family, _, _, _, address in found))
 
 
-def listen(places: Sequence[Place], host: str, port: int, option: str = "--port") -> list[socket.socket]:
+def listen(places: Sequence[SocketAddress], host: str, port: int, option: str = "--port") -> list[socket.socket]:
     """Take a port, 0 for a free one, on every address of this machine, or raise StartError naming ``option``."""
     for tries_left in reversed(range(FREE_PORT_TRIES)):
         try:
@@ -402,7 +402,7 @@ def listen(places: Sequence[Place], host: str, port: int, option: str = "--port"
     raise AssertionError("no try was the last")
 
 
-def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
+def _listen_on_all(places: Sequence[SocketAddress], port: int) -> list[socket.socket]:
     listening: list[socket.socket] = []
     missing: OSError | None = None
     for place in places:
@@ -421,7 +421,7 @@ def _listen_on_all(places: Sequence[Place], port: int) -> list[socket.socket]:
     return listening
 
 
-def _listen_on(place: Place, port: int, *, alone: bool) -> socket.socket:
+def _listen_on(place: SocketAddress, port: int, *, alone: bool) -> socket.socket:
     family, (host, _, *scope) = place
     # Beside a socket for IPv4 it must leave that alone; by itself, ``::`` is for both.
     dual = family == socket.AF_INET6 and alone and socket.has_dualstack_ipv6()
@@ -443,7 +443,7 @@ def _reason(host: str, port: int, error: OSError | UnicodeError, option: str = "
 
 def raise_file_limit(max_clients: int) -> int:
     """Raise the process's limit of open files, warn if it is too low, and return the connections that it allows."""
-    wanted = max_clients + SPARE
+    wanted = max_clients + SPARE_FILES
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft >= wanted or soft == resource.RLIM_INFINITY:
         return max_clients
@@ -451,7 +451,7 @@ def raise_file_limit(max_clients: int) -> int:
     resource.setrlimit(resource.RLIMIT_NOFILE, (possible, hard))
     if possible == wanted:
         return max_clients
-    clients = min(max_clients, max(possible - SPARE, possible // 2))
+    clients = min(max_clients, max(possible - SPARE_FILES, possible // 2))
     log.warning(
         "the system lets the server open %d files, so it serves %d clients at a time, not server.max_clients = %d;"
         " raise the hard limit (ulimit -Hn, LimitNOFILE=), or lower the setting",

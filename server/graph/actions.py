@@ -36,7 +36,7 @@ STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 # rcl_action's default result_timeout: time for which the status of an ended goal is still published [s].
 ENDED_KEPT_S = 10.0
 
-# Far more than anybody waits for; of more goals the newest are published, so that a flood of goals costs little each.
+# Far more than anybody waits for. Of more goals the newest are published, so that a flood costs little for each goal.
 MAX_PUBLISHED = 100
 
 
@@ -96,7 +96,7 @@ class ActionGoal(PendingRequest[Result]):
         return self.status == GoalStatus.CANCELING
 
     def feedback(self, values: object) -> None:
-        """Tell how the goal goes; what the message leaves out gets its default."""
+        """Send feedback; fields that the message leaves out get their defaults."""
         completed = self._message_types.complete(f"{self.type_name}_Feedback", values)
         if not self.ended and self._on_feedback is not None:
             self._on_feedback(completed)
@@ -119,7 +119,7 @@ class ActionGoal(PendingRequest[Result]):
         self._when_canceled, self._on_feedback = [], None
 
     def when_canceled(self, callback: Callable[[], None]) -> None:
-        """Have this called when somebody asks for the end of the goal; at once when somebody has."""
+        """Call ``callback`` when somebody asks for the end of the goal; at once when somebody has."""
         self._when_canceled.append(callback)
         if self.cancel_requested:
             callback()
@@ -133,7 +133,7 @@ class ActionGoal(PendingRequest[Result]):
             callback()
 
 
-# A goal may take long; one whose provider has forgotten it must end nevertheless.
+# A goal may take long, and must end even if its provider has forgotten it.
 MAX_GOAL_S = 3600.0
 
 # As for topics: far more than any robot has.

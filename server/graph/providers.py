@@ -41,7 +41,7 @@ class PendingRequest(Generic[End]):
         self._when_ended: list[Callable[[End], object]] = []
 
     def when_ended(self, callback: Callable[[End], object]) -> None:
-        """Have this called with the end, in whatever way it comes; in order of asking."""
+        """Call ``callback`` with the end, in whatever way it comes; callbacks are called in order of registration."""
         self._when_ended.append(callback)
 
     def fail(self, values: object) -> None:

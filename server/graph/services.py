@@ -79,7 +79,7 @@ class Call(PendingRequest[Response]):
 
 def answer(call: Call, function: ServiceFunction) -> None:
     """Have a local part's function answer a call; what it answers at once costs no task."""
-    with failure_told(call):
+    with failure_answered(call):
         values = function(call.request)
         if inspect.isawaitable(values):
             task = asyncio.ensure_future(_answer_later(call, values))
@@ -90,7 +90,7 @@ def answer(call: Call, function: ServiceFunction) -> None:
 
 
 async def _answer_later(call: Call, values: Awaitable[Answered]) -> None:
-    with failure_told(call):
+    with failure_answered(call):
         call.succeed(_response(await values))
 
 
@@ -99,8 +99,8 @@ def _response(values: Answered) -> object:
 
 
 @contextlib.contextmanager
-def failure_told(call: Call) -> Iterator[None]:
-    """Fail a call that the block cannot answer, with the reason."""
+def failure_answered(call: Call) -> Iterator[None]:
+    """Answer a call with the reason where the block cannot answer it."""
     try:
         yield
     except NoAnswerError as error:
@@ -117,13 +117,13 @@ def failure_told(call: Call) -> Iterator[None]:
 # A local part may plan a motion meanwhile; the planners' own deadline is shorter.
 LOCAL_TIMEOUT_S = 60.0
 
-# For callers that want to wait for as long as they may.
+# Longest time that a caller may choose to wait.
 MAX_TIMEOUT_S = 3600.0
 
 # As for topics: far more than any robot has.
 MAX_SERVICES = 10_000
 
-# Of requests to parts of the server that say nothing else.
+# Limits of requests to parts of the server that name no others.
 DEFAULT_LIMITS = ListLimits()
 
 

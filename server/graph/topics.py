@@ -366,7 +366,7 @@ class Graph:
     def _completed(self, topic: Topic, message: object, received: Stamp) -> dict[str, Any]:
         return self.message_types.complete(topic.type_name, message, received, topic.limits)
 
-    def tell(self, node: Node, name: str, message: object) -> None:
+    def deliver_to(self, node: Node, name: str, message: object) -> None:
         """Deliver a message to one subscriber alone; nothing happens when it is none."""
         topic, received = self._topic(name), self.message_types.now()
         subscriber = topic.subscribers.get(node)
@@ -377,7 +377,7 @@ class Graph:
             )
 
     def latch(self, name: str, message: object, *, prevalidated: bool = False) -> None:
-        """Keep a message for later subscribers, deliver it to nobody now: others get changes alone."""
+        """Keep a message for later subscribers, and deliver it to nobody now: present subscribers get changes alone."""
         topic, received = self._topic(name), self.message_types.now()
         completed: Any = message if prevalidated else self.message_types.complete(topic.type_name, message, received)
         published = PublishedMessage(topic.name, topic.type_name, completed, self.message_types.registry, received)
@@ -393,7 +393,7 @@ class Graph:
         return sentence
 
     def _topic(self, name: str, type_name: str | None = None, node: Node | None = None) -> Topic:
-        """The topic, made for a node when it is new and ``type_name`` says what it carries."""
+        """Return the topic, which is made for a node if it is new and ``type_name`` is given."""
         for _ in range(FORGOTTEN_AT_ONCE):
             if not self._unused or not self._outlived(oldest := next(iter(self._unused.values()))):
                 break
@@ -471,8 +471,8 @@ class LocalNode(Node):
     def publish(self, topic: str, message: object, *, latch: bool = False, prevalidated: bool = False) -> None:
         self._graph.publish(self, self.resolve(topic), message, latch=latch, prevalidated=prevalidated)
 
-    def tell(self, node: Node, topic: str, message: object) -> None:
-        self._graph.tell(node, self.resolve(topic), message)
+    def deliver_to(self, node: Node, topic: str, message: object) -> None:
+        self._graph.deliver_to(node, self.resolve(topic), message)
 
     def subscribe(
         self,

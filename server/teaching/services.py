@@ -121,7 +121,7 @@ class Teaching(Feature):
         self._state: ArmState | None = None
         self._closing, self._reading = False, asyncio.Lock()
         self._shown_at_s = 0.0
-        self._told = f"{BEGIN} begins a recording"
+        self._message = f"{BEGIN} begins a recording"
         # The recording that is being made a motion.
         self._finishing: asyncio.Task[dict[str, Any]] | None = None
         self._node.advertise(STATE_TOPIC, "armbridge_msgs/TeachState", latch=True)
@@ -181,10 +181,10 @@ class Teaching(Feature):
         # Another client may have begun while the disk was asked.
         self._check_idle()
         self._recorder = TeachingRecorder(request["name"], joints)
-        self._told = _DRIVEN if state.torque_enabled else _HELD_BY_HAND
+        self._message = _DRIVEN if state.torque_enabled else _HELD_BY_HAND
         self._show()
         log.info("recording of the motion %r begins", request["name"])
-        return f"{', '.join(joints)} are recorded for at most {MAX_DURATION_S:g} s; {self._told}"
+        return f"{', '.join(joints)} are recorded for at most {MAX_DURATION_S:g} s; {self._message}"
 
     def _check_idle(self) -> None:
         if self._recorder is not None:
@@ -194,22 +194,22 @@ class Teaching(Feature):
 
     async def _end(self, _request: Message) -> dict[str, Any]:
         if self._recorder is None:
-            raise ServiceError(f"nothing is recorded; {self._told}")
+            raise ServiceError(f"nothing is recorded; {self._message}")
         # The motion is saved also when the caller leaves meanwhile.
         return await asyncio.shield(self._finish(self._recorder, ""))
 
     def _discard(self, _request: Message) -> str:
         if self._recorder is None:
-            raise ServiceError(f"nothing is recorded; {self._told}")
+            raise ServiceError(f"nothing is recorded; {self._message}")
         name, self._recorder = self._recorder.name, None
-        self._told = f"the recording of {name!r} is discarded"
+        self._message = f"the recording of {name!r} is discarded"
         self._show()
-        return self._told
+        return self._message
 
     def _finish(self, recorder: TeachingRecorder, reason: str) -> asyncio.Task[dict[str, Any]]:
         """End a recording; return the task that makes it a motion and answers as ``/teach/end``."""
         self._recorder = None
-        self._told = f"{reason}the motion {recorder.name!r} is being saved"
+        self._message = f"{reason}the motion {recorder.name!r} is being saved"
         self._show()
         self._finishing = asyncio.create_task(self._make_motion(recorder, reason), name="saving a taught motion")
         return self._finishing
@@ -234,7 +234,7 @@ class Teaching(Feature):
             text = f"{reason}the motion {recorder.name!r} is not saved; the log has the cause"
             log.exception("saving the motion %r failed", recorder.name)
         log.info("%s", text)
-        self._told = text
+        self._message = text
         self._show()
         return {**answer, "message": text}
 
@@ -301,7 +301,7 @@ class Teaching(Feature):
     # Messages.
 
     def _show(self) -> None:
-        message: dict[str, Any] = {"message": self._told}
+        message: dict[str, Any] = {"message": self._message}
         if (recorder := self._recorder) is not None:
             message |= {"recording": True, "name": recorder.name}
             message |= {"duration_s": recorder.duration_s, "points": recorder.points}

@@ -41,7 +41,7 @@ MIN_DURATION_S = 0.1
 # Greatest distance between a joint of the motion and of the recording at the same time; a hand is no steadier.
 TOLERANCE_RAD = 0.02
 
-# Of this, what the average takes; the spline through some of its points has the rest.
+# Part of it for the average; the spline through some of its points has the rest.
 SMOOTHED_WITHIN_RAD = 0.75 * TOLERANCE_RAD
 
 # Window of the moving average and distance of the points [s], the smoothest first. The last is the recording itself.
@@ -53,7 +53,7 @@ BLEND_S = 0.2
 # The recording is brought to the rate of the arm's states before it is averaged.
 GRID_S = 0.02
 
-# A replay that takes so much longer than asked for is slower [s], and by this share of the motion.
+# A replay counts as slower when it takes longer than requested by both: a time [s], and a share of the motion's.
 LEAST_LOST_S, LEAST_LOST = 0.3, 0.05
 
 # Digits of times and positions in files and messages: microseconds, and a thousandth of a servo's tick.

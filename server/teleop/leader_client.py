@@ -31,8 +31,8 @@ class LeaderClient(PublishingClient):
     So a slow network gets fewer samples, and never a queue of old ones.
     """
 
-    def __init__(self, target: PublishedTopic, tell: Callable[[str], None]) -> None:
-        super().__init__(target, SAMPLE_TYPE, tell)
+    def __init__(self, target: PublishedTopic, report: Callable[[str], None]) -> None:
+        super().__init__(target, SAMPLE_TYPE, report)
         self._newest: asyncio.Queue[ArmState] = asyncio.Queue(1)
         self._reason = ""
 
@@ -40,7 +40,7 @@ class LeaderClient(PublishingClient):
         """Take a state as the next sample if a hand can move the arm; report the fault of an arm."""
         before, self._reason = self._reason, str(state.fault or state.reason)
         if self._reason not in ("", before):
-            self._tell(f"the arm: {self._reason}")
+            self._report(f"the arm: {self._reason}")
         if state.mode is Mode.RELAXED and state.position_rad is not None:
             if self._newest.full():
                 self._newest.get_nowait()
@@ -74,19 +74,19 @@ def sample_message(state: ArmState) -> dict[str, Any]:
     }
 
 
-async def publish_leader(target: PublishedTopic, settings: Settings, tell: Callable[[str], None]) -> bool:
+async def publish_leader(target: PublishedTopic, settings: Settings, report: Callable[[str], None]) -> bool:
     """Publish the joints of a relaxed arm until a signal ends it; return False if the arm cannot be read.
 
     Raises ConfigurationError for settings of the arm that cannot be used.
     """
-    client = LeaderClient(target, tell)
+    client = LeaderClient(target, report)
     arm = Arm(arm_config(settings, Description.read(settings.arm)), client.take_state)
 
     async def run() -> None:
         try:
             await arm.start(ARM_START_TIMEOUT_S)
         except TimeoutError:
-            tell(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s")
+            report(f"the arm process did not start within {ARM_START_TIMEOUT_S:g} s")
         else:
             await client.run()
 

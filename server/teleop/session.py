@@ -129,12 +129,12 @@ class FollowingSession:
 
     def set_clutch(self, *, closed: bool) -> None:
         self._carry_out(self.following.set_clutch(closed=closed), self._clock())
-        self._tell()
+        self._show_state()
 
     def end(self, reason: str) -> None:
         """Brake softly and follow no more."""
         self._carry_out(self.following.end(reason), self._clock())
-        self._tell()
+        self._show_state()
 
     async def close(self) -> None:
         """End at once; the arm comes to rest by itself."""
@@ -170,7 +170,7 @@ class FollowingSession:
         age_s, jump = self._samples.age_s(now_s), self._samples.take_jump()
         self._carry_out(self.following.tick(now_s, age_s, jump=jump, obstacle=obstacle), now_s, pose)
         if (self.following.phase, self._message) != self._shown or now_s - self._shown_at_s >= SHOWN_EVERY_S:
-            self._tell()
+            self._show_state()
 
     def _obstacle(self, now_s: float, pose: LeaderPose | None) -> str:
         """Return the reason for which the follower cannot go on; empty if there is none."""
@@ -225,7 +225,7 @@ class FollowingSession:
                 reached = answer.result().code is MoveItErrorCode.SUCCESS
                 self.following.take_ramp_end("" if reached else answer.result().message)
                 # A following that has ended makes no further step that would show it.
-                self._tell()
+                self._show_state()
 
         ramp.answered.add_done_callback(take)
 
@@ -281,7 +281,7 @@ class FollowingSession:
     def _message(self) -> str:
         return self.following.message or self._warning
 
-    def _tell(self) -> None:
+    def _show_state(self) -> None:
         self._shown, self._shown_at_s = (self.following.phase, self._message), self._clock()
         self._show(
             FollowingState(self.following.phase, self._message, self._latency_s, self._lag_rad, self._speed_scale)

@@ -173,7 +173,7 @@ def replanning(options: Message) -> tuple[int, float]:
 
 
 def changes_scene(scene: Message) -> bool:
-    """Tell if a moveit_msgs/PlanningScene changes anything that plans depend on.
+    """Return True if a moveit_msgs/PlanningScene changes anything that plans depend on.
 
     A field that the client has left out has ``is_diff`` false, and must not empty the world.
     """

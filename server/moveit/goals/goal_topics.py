@@ -332,7 +332,7 @@ class GoalStatusTopics(GoalListener):
         if goal.request.only_for is None:
             self._node.publish(topic, message)
         else:
-            self._node.tell(goal.request.only_for, topic, message)
+            self._node.deliver_to(goal.request.only_for, topic, message)
 
 
 def final_status(goal: Goal, answer: Answer, robot: RobotModel) -> Message:

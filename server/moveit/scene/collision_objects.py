@@ -73,7 +73,7 @@ def _ears(corners: Sequence[Corner]) -> list[tuple[int, int, int]] | None:
 
 
 def _is_ear(corners: Sequence[Corner], points: Vector, around: tuple[int, int, int]) -> bool:
-    """Tell if three consecutive corners turn to the left, and no point is inside them or on an edge."""
+    """Return True if three consecutive corners turn to the left, and no other point is within them or on an edge."""
     a, b, c = (corners[k] for k in around)
     if _area((a, b, c)) <= 0.0:
         return False

@@ -116,7 +116,7 @@ class SceneDraft(SceneContents):
         return SceneContents(**{each.name: getattr(self, each.name) for each in fields(SceneContents)})
 
     def is_root(self, frame_id: str) -> bool:
-        """Tell by its name alone if a frame is the planning frame."""
+        """Return True for the planning frame, by its name alone."""
         return frame_id in ("", self.root)
 
     def in_planning_frame(self, collision_object: CollisionObject) -> CollisionObject:

@@ -217,8 +217,8 @@ def test_keys_pressed_before_a_question_do_not_answer_it():
     class Answered(Terminal):
         """A terminal at which somebody types ``n`` once a question is printed."""
 
-        def say(self, text):
-            super().say(text)
+        def err(self, text):
+            super().err(text)
             os.write(keyboard, b"n\n")
 
     terminal = Answered(descriptor)

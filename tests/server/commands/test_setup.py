@@ -43,8 +43,8 @@ class Person(Terminal):
         self.reactions = reactions
         self.heard: list[str] = []
 
-    def say(self, text: str) -> None:
-        super().say(text)
+    def err(self, text: str) -> None:
+        super().err(text)
         self.heard.append(text)
         for pattern, react in self.reactions.items():
             found = re.search(pattern, text)

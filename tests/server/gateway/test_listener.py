@@ -17,7 +17,7 @@ from server.access.settings import AccessSettings
 from server.errors import ConfigurationError, StartError
 from server.gateway import listener as listener_module
 from server.gateway.admission import ConnectionLimiter
-from server.gateway.listener import LIST_PERIOD_S, SPARE, ClientList, Listener, Place, Tls, listen
+from server.gateway.listener import LIST_PERIOD_S, SPARE_FILES, ClientList, Listener, SocketAddress, Tls, listen
 from server.gateway.settings import ServerSettings
 from server.graph.permissions import Node
 from server.graph.topics import Graph
@@ -284,7 +284,7 @@ def test_a_free_port_that_is_taken_in_the_other_family_is_given_up_for_another(m
     tries: list[int] = []
     listen_on = listener_module._listen_on
 
-    def listen_on_taken(place: Place, port: int, *, alone: bool) -> socket.socket:
+    def listen_on_taken(place: SocketAddress, port: int, *, alone: bool) -> socket.socket:
         tries.append(port)
         if len(tries) == 2:
             raise OSError(errno.EADDRINUSE, "taken")
@@ -328,11 +328,11 @@ class Limit:
 
 # The limits, the clients that are wanted and those that fit, and the soft limit afterwards.
 FILE_LIMITS = [
-    (1024, 4096, 1000, 1000, 1000 + SPARE),
-    (1024, resource.RLIM_INFINITY, 1000, 1000, 1000 + SPARE),
+    (1024, 4096, 1000, 1000, 1000 + SPARE_FILES),
+    (1024, resource.RLIM_INFINITY, 1000, 1000, 1000 + SPARE_FILES),
     (1024, 4096, 100, 100, 1024),
     (resource.RLIM_INFINITY, 4096, 100, 100, resource.RLIM_INFINITY),
-    (256, 2048, 5000, 2048 - SPARE, 2048),
+    (256, 2048, 5000, 2048 - SPARE_FILES, 2048),
     (256, 300, 5000, 150, 300),
 ]
 

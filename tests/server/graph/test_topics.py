@@ -46,8 +46,8 @@ def test_what_is_latched_reaches_late_subscribers_alone_and_what_is_told_one_sub
     assert listen(graph, "/t") == [{"data": "everything"}]
     graph.advertise(TALKER, "/a", "std_msgs/String")
     one, other = listen(graph, "/a", node=LISTENER), listen(graph, "/a")
-    graph.tell(LISTENER, "/a", {"data": "for you"})
-    graph.tell(Node("nobody"), "/a", {"data": "for nobody"})
+    graph.deliver_to(LISTENER, "/a", {"data": "for you"})
+    graph.deliver_to(Node("nobody"), "/a", {"data": "for nobody"})
     assert (one, other) == ([{"data": "for you"}], [])
 
 

@@ -330,7 +330,7 @@ class ActionChunks:
         try:
             self._submit(NAME, message, published.publisher)
         except RefusedError as error:
-            self._publish(refused_answer(message, error))
+            self._node.publish(ANSWER, refused_answer(message, error))
             raise GraphError("topic", self._node.resolve(NAME), error.failure.message) from error
 
     def _start(self, goal: ActionGoal) -> None:
@@ -339,7 +339,7 @@ class ActionChunks:
             number = self._submit(goal.action, message, goal.sender, goal)
         except RefusedError as error:
             answer = refused_answer(message, error)
-            self._publish(answer)
+            self._node.publish(ANSWER, answer)
             goal.finish(goal_status(error.failure.code), {"answer": answer})
         else:
             cancel_with_goal(goal, functools.partial(self._queue.cancel, number))
@@ -452,7 +452,7 @@ class ActionChunks:
                 self._gripper.start()
         self._show(PolicyPhase.FOLLOWING, f"{followed.publisher} moves the arm")
         answer = self._answer(followed, Answer(MoveItErrorCode.SUCCESS, begun_message(motion)))
-        self._publish(answer)
+        self._node.publish(ANSWER, answer)
         if followed.goal is not None:
             followed.goal.feedback({"answer": answer})
 
@@ -468,7 +468,7 @@ class ActionChunks:
             self._gripper.end(answer.message)
         # A chunk that another has joined has its answer, unless the other came before it began.
         if failed and not (joined and followed.begun_until_s > 0.0):
-            self._publish(end)
+            self._node.publish(ANSWER, end)
         if followed is self._followed and self._phase is PolicyPhase.FOLLOWING:
             self._show(PolicyPhase.IDLE, "no chunk is followed")
         if followed.goal is not None:
@@ -524,9 +524,6 @@ class ActionChunks:
             "joint_names": list(nearest),
             "nearest": list(nearest.values()),
         }
-
-    def _publish(self, answer: Message) -> None:
-        self._node.publish(ANSWER, answer)
 
 
 def begun_message(motion: ChunkMotion) -> str:

@@ -26,6 +26,7 @@ from server.moveit.actions.goal_bridge import (
     plan_without_moving,
     reject_goal,
     submit_goal,
+    work_on,
 )
 from server.moveit.actions.joint_trajectory_controller import checked_duration_s, checked_motion
 from server.moveit.goals.goal_topics import with_suggestion
@@ -143,9 +144,7 @@ def _finish(goal: ActionGoal, answer: Answer, result: Callable[[Answer], Message
     async def write() -> None:
         goal.finish(goal_status(answer.code), CompleteResponse(await asyncio.to_thread(result, answer)))
 
-    writing = asyncio.create_task(write(), name=f"result of {goal.action}")
-    # Keeps the task alive, which the event loop does not, and ends it when nobody waits any more.
-    goal.when_ended(lambda _result: writing.cancel())
+    work_on(goal, write())
 
 
 def scene_diff(options: Message) -> Message | None:

@@ -71,7 +71,7 @@ log = logging.getLogger("armbridge")
 # Longest stop of all parts together, without the arm's end [s].
 STOP_TOTAL_S = 2.6
 
-# Far more than there are places of files: of each, a disk that never answers holds one thread at most.
+# Far more than there are places of files: a disk that never answers holds one thread for each place at most.
 THREADS = 32
 
 # More than the arm's handle gives its process [s].
@@ -80,7 +80,7 @@ ARM_STOP_S = CLOSE_LIMIT_S + 10.0
 
 @dataclass(frozen=True)
 class Inherited:
-    """Parts of a server that the process which has forked it made for several."""
+    """Parts that the process which has forked this server has made for several servers."""
 
     description: Description
     planners: Path
@@ -139,7 +139,7 @@ class App:
         self._restart = asyncio.Event()
         self._recalibrated: Recalibrated | None = None
 
-        # What refuses wrong settings comes first; nothing of it does anything before its start.
+        # Parts that refuse wrong settings come first; they do nothing before their start.
         self._clients = Clients(context)
         self.bridge = _bridge_of(settings, self.graph, context.access)
         # Ahead of the features that latch messages; its file is opened when nothing can refuse the start any more.

@@ -16,13 +16,13 @@ log = logging.getLogger("armbridge")
 
 STDIN = 0
 
-# What every later step is left, however long those before it take.
+# Time that is kept for every later step of the stop, however long the earlier ones take [s].
 RESERVED_S = 0.1
 
-# What a step gets from a second signal on.
+# Time of a step from a second signal on [s].
 HURRIED_S = 0.2
 
-# A step that is cut short may tidy up for so long.
+# Time to tidy up of a step that is cut short [s].
 CANCEL_TIMEOUT_S = 0.05
 
 
@@ -45,15 +45,15 @@ class Threads(ThreadPoolExecutor):
     """Threads for work that waits for a disk, which may never answer: the end of the event loop waits for none."""
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:  # noqa: ARG002
-        """Begin no more work, and let the work in progress be."""
+        """Begin no more work, and leave the work in progress to itself."""
         super().shutdown(wait=False, cancel_futures=cancel_futures)
 
 
 class Feature:
     """One capability of the server: complete when constructed, started once and stopped once.
 
-    A method that a feature does not have does nothing. Features with the states of arms get each arm's by its name;
-    the empty name stands for the only arm, or for all arms together.
+    Methods that a feature does not override do nothing. States and health come by the name of their arm; the empty name
+    stands for the only arm, or for all arms together.
 
     Attributes:
         deadline_s: longest time for the stop [s].
@@ -83,7 +83,7 @@ class Feature:
 
 
 class BackgroundTask(Feature):
-    """A coroutine that runs beside the others from its start to its stop; the log says at once if it fails."""
+    """Coroutine that runs beside the others from its start to its stop; a failure is logged at once."""
 
     def __init__(self, name: str, run: Callable[[], Coroutine[Any, Any, None]]) -> None:
         self.name = name
@@ -118,7 +118,7 @@ async def start_in_order(parts: Sequence[Part | Feature], started: list[Part | F
 
 
 def stop_signals() -> tuple[asyncio.Event, asyncio.Event]:
-    """Events that SIGINT and SIGTERM set: the first one the first, any further one the second."""
+    """Return two events: the first SIGINT or SIGTERM sets the first event, any further signal the second."""
     ending, hurry = asyncio.Event(), asyncio.Event()
 
     def take() -> None:
@@ -151,7 +151,7 @@ def on_hangup(
 async def unless_ended(
     ending: asyncio.Event, work: Coroutine[Any, Any, object], cancel_timeout_s: float | None = CANCEL_TIMEOUT_S
 ) -> bool:
-    """Do some work to its end, or cancel it when the event comes before that, and wait [s]; says whether it is done."""
+    """Do some work to its end and return True; at the event, cancel it, wait for its end [s], and return False."""
     working, ended = asyncio.create_task(work), asyncio.create_task(ending.wait())
     try:
         await asyncio.wait([working, ended], return_when=asyncio.FIRST_COMPLETED)
@@ -171,7 +171,7 @@ async def stop_in_reverse(
     hurry: asyncio.Event | None = None,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Stop each part, the last one first, whatever becomes of those before it, within ``total_s`` or in a hurry."""
+    """Stop each part, the last first, within ``total_s`` or in a hurry; a part that fails does not keep the others."""
     hurry = hurry or asyncio.Event()
     until_s = clock() + total_s
     stopped = [part for part in started if _has_stop(part)]

@@ -42,7 +42,7 @@ _WHAT_TO_SHOW = {
     Role.ADMIN: "a token of access.admin_tokens",
 }
 
-# Open beside every filter of services, as in rosbridge_server: clients find out with them what there is.
+# Open beside every filter of services, as in rosbridge_server: clients look names up by them.
 ALWAYS_SERVICES = ("/rosapi/*",)
 
 
@@ -214,7 +214,7 @@ class Authorizer:
         # Of a goal that a client without the role OPERATE proposes, the client that approves it is the driver.
         if not rule.drives or self._node.is_viewer or plans_only(rule, goal):
             return None
-        refusal = self._access.leases_of_arms.get(rule.arm, self._access.lease).drive(self._node, self._access.clock())
+        refusal = self._access.lease_of(rule.arm).drive(self._node, self._access.clock())
         return None if refusal is None else f"{name}: {refusal}"
 
 
@@ -248,6 +248,10 @@ class Access:
         self.services = NameFilter("access.services_glob", settings.services_glob, ALWAYS_SERVICES)
         self.settings = settings
         self.clock = clock
+
+    def lease_of(self, arm: str) -> ControlLease:
+        """Return the control of one of several arms, by its name, or of all."""
+        return self.leases_of_arms.get(arm, self.lease)
 
     def give_back(self, node: Node) -> None:
         for lease in (self.lease, *self.leases_of_arms.values()):

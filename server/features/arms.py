@@ -46,8 +46,7 @@ class ArmControl(Feature):
         for each in context.arms:
             offer_arm_services(each)
             offer_pace(each.graph, each.arm)
-            lease = context.access.leases_of_arms.get(each.name, context.access.lease)
-            self._control.append(ControlServices(each.graph, lease))
+            self._control.append(ControlServices(each.graph, context.access.lease_of(each.name)))
 
     async def start(self) -> None:
         STOP_EPOCHS.listeners.add(self._show_stops_soon)
@@ -67,8 +66,8 @@ class ArmControl(Feature):
 
     def on_state(self, arm: str, state: ArmState) -> None:
         each = self._arms[arm]
-        # The joints of all arms are published without subscribers too, for a recording. One arm's own would cost as
-        # much again.
+        # The joints of all arms are published without subscribers too, for a recording. To publish one arm's joints as
+        # well would cost as much again.
         if not arm or each.node.subscribers(JOINT_STATES):
             self._states[arm].publish_joints(read_now(each.arm, state))
         self._states[arm].take_state(state, each.arm.last_stop)
@@ -170,11 +169,7 @@ class PolicyChunks(Feature):
     deadline_s = 0.5
 
     def __init__(self, context: ServerContext) -> None:
-        access = context.access
-        self._of_arms = [
-            ActionChunks(each, each.gripper, access.leases_of_arms.get(each.name, access.lease))
-            for each in context.arms
-        ]
+        self._of_arms = [ActionChunks(each, each.gripper, context.access.lease_of(each.name)) for each in context.arms]
 
     async def stop(self) -> None:
         await asyncio.gather(*(each.close() for each in self._of_arms))

@@ -86,8 +86,8 @@ class Cameras(Feature):
         self._ready = False  # True while the process waits for a scene
         self._ordered_at_s = self._watched_at_s = 0.0
         self._failures = 0
-        self._over = False  # True from the stop on, and where no image can come
-        self._failure = ""  # why no image can come
+        self._over = False  # True from the stop on, and after a failure
+        self._failure = ""  # reason for which no image can come; empty for none
         self._process: asyncio.Task[None] | None = None
         self._ended = asyncio.Event()
         self._restart_delay = RestartDelay()
@@ -214,7 +214,7 @@ class Cameras(Feature):
         self._cameras[name], self._nodes[name], self._due_s[name] = camera, node, -math.inf
 
     def _publish_frames(self, before: Collection[str]) -> None:
-        """Publish the optical frames in place of those before, with the arm's fixed frames: one message is latched."""
+        """Publish the optical frames in place of the ones before, in the message that has the arm's fixed frames."""
         latched = self._graph.latched(STATIC_TRANSFORMS_TOPIC)
         known = [] if latched is None else latched.msg["transforms"]
         own = [
@@ -239,8 +239,8 @@ class Cameras(Feature):
             return
         for topic, each in message.messages:
             self._failures = 0
-            # A camera may have been replaced by one without depth meanwhile.
-            if node := next((self._nodes[name] for name, of in self._cameras.items() if topic in of.topics), None):
+            # Its camera may have been replaced meanwhile by a camera without depth.
+            if node := next((self._nodes[name] for name, now in self._cameras.items() if topic in now.topics), None):
                 node.publish(topic, each)
         self._ready = True
 

@@ -31,7 +31,7 @@ from server.moveit.scene.frames import Frames
 from server.moveit.scene.scene_state import AssumedStates, SceneState
 from server.rosapi import RosApi
 
-# The queue waits so long for the arm to brake; the arm process has its own deadline after that.
+# Time that the queue waits for the arm to brake; the arm process has its own deadline after that.
 QUEUE_CLOSE_TIMEOUT_S = 1.0
 
 
@@ -128,7 +128,7 @@ def context_of(
     settings: Settings, graph: Graph, arms: tuple[ServedArm, Sequence[ServedArm]], pool: Planners
 ) -> ServerContext:
     whole_arm, single_arms = arms
-    moveit, goals, robot = settings.moveit, settings.goals, whole_arm.robot
+    moveit, robot = settings.moveit, whole_arm.robot
     scene, display = SceneState(robot), DisplayTopics(graph, robot)
     planning = PlanningContext(
         robot=robot,
@@ -144,14 +144,14 @@ def context_of(
         time_limits=TimeLimits(
             moveit.allowed_execution_duration_scaling,
             moveit.allowed_goal_duration_margin,
-            goals.max_paused_s,
-            goals.max_trajectory_duration_s,
+            settings.goals.max_paused_s,
+            settings.goals.max_trajectory_duration_s,
         ),
-        confirmation=Confirmation(graph, enabled=goals.confirm, timeout_s=goals.confirm_timeout_s),
+        confirmation=Confirmation(graph, enabled=settings.goals.confirm, timeout_s=settings.goals.confirm_timeout_s),
     )
-    way = Goals(whole_arm.arm, planning, settings)
+    goals = Goals(whole_arm.arm, planning, settings)
 
-    def made(served: ServedArm, parameters: MoveItParameters, name: str) -> ArmContext:
+    def arm_context(served: ServedArm, parameters: MoveItParameters, node_name: str) -> ArmContext:
         local = LocalGraph(graph, served.name)
         return ArmContext(
             graph=local,
@@ -159,17 +159,17 @@ def context_of(
             robot=served.robot,
             parameters=parameters,
             planning=planning,
-            queue=way.queue,
+            queue=goals.queue,
             served=served,
-            goals=way,
-            node=local.node(name),
+            goals=goals,
+            node=local.node(node_name),
         )
 
-    whole = made(whole_arm, moveit, "moveit")
+    whole = arm_context(whole_arm, moveit, "moveit")
     several = []
     for each in single_arms:
         if each is not whole_arm:
             own = {"group_name": each.robot.default_group, "end_effector_link": each.robot.tip_link}
-            several.append(made(each, moveit.model_copy(update=own), f"moveit of {each.name}"))
+            several.append(arm_context(each, moveit.model_copy(update=own), f"moveit of {each.name}"))
     access = Access(settings.access, busy=whole.running, arms={each.name: each.running for each in several})
-    return ServerContext(settings, graph, (whole, *several), planning, way, access, RosApi(graph))
+    return ServerContext(settings, graph, (whole, *several), planning, goals, access, RosApi(graph))

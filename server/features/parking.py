@@ -49,7 +49,7 @@ CHECK_S = 0.2
 # Planning a way that is only kept may take this long; most take some milliseconds [s].
 PLANNING_TIME_S = 2.0
 
-# Goals farther from the start of the kept way than this are another place: half the tolerance of the arm process [rad].
+# An arm this far from the start of its kept way is at another place: half the tolerance of the arm process [rad].
 SAME_PLACE_RAD = 0.005
 
 # Braking takes a second at most.
@@ -108,7 +108,7 @@ class ArmParking:
     # Parking now.
 
     def park(self, source: str) -> asyncio.Future[CommandDone]:
-        """End all goals, move the arm to its rest pose, and relax it there; an arm that cannot come to it holds."""
+        """End all goals, move the arm to its rest pose, and relax it there; an arm that does not reach it holds."""
         pose = self._pose
         refused = self._no_pose if pose is None else STOPPED_SINCE if is_stopped(self.arm.last_stop) else ""
         if pose is None or refused:
@@ -116,7 +116,7 @@ class ArmParking:
             answered.set_result(CommandDone(0, done=False, message=refused))
             return answered
         self.context.stop(f"the arm is parked by {source}")
-        # Goals of others end by a stop; the way to the rest pose is requested after it.
+        # That stop ends the goals of others; the way to the rest pose is requested after it.
         task = asyncio.create_task(self._park(source, pose, STOP_EPOCHS.present), name="park the arm")
         self._parked.add(task)
         task.add_done_callback(self._parked.discard)
@@ -202,9 +202,8 @@ class ArmParking:
 class KeptWays:
     """Ways of the arms to their rest poses, which the arm processes keep for their end: all or none.
 
-    Without the server nobody coordinates several arms. So their ways are kept while all of them rest, and when no two
-    ways meet, wherever each arm is on its way. The process of a lone arm keeps its way also in a motion, whose path it
-    goes back.
+    Without the server nobody coordinates several arms. So their ways are kept while all of them rest, and if no two
+    ways can touch. The process of a lone arm keeps its way also in a motion, whose path it goes back.
     """
 
     def __init__(self, parkings: Sequence[ArmParking], context: ServerContext) -> None:
@@ -324,7 +323,7 @@ class LastClient:
             return False
         if self._present:
             self._present, self._left_s = False, self._clock()
-            log.info("the last client that may drive has left; arm.on_last_client = %r", self._policy)
+            log.info("the last client that may drive has left; in %g s: %s", self._delay_s, self._policy)
         if self._left_s is None or self._clock() - self._left_s < self._delay_s:
             return False
         if self._queue.busy() or self._arm.state.mode is Mode.MOVING:
@@ -333,7 +332,7 @@ class LastClient:
         return True
 
     async def _act(self) -> None:
-        log.info("nobody who may drive is connected: the arm is to %s", self._policy)
+        log.info("no client that may drive is connected; arm.on_last_client = %r", self._policy)
         if self._policy == "park":
             if is_stopped(self._arm.last_stop, self._left_epoch):
                 log.warning("a stop came after the last client had left: the arm holds")
@@ -350,7 +349,7 @@ class LastClient:
                 return
             log.warning("%s; it is relaxed where it is", parked.message)
         relaxed = await self._arm.order(Order.RELAX)
-        log.info("nobody who may drive is connected: %s", relaxed.message)
+        log.info("no client that may drive is connected: %s", relaxed.message)
 
 
 class Parkings(Feature, GoalListener):
@@ -382,11 +381,11 @@ class Parkings(Feature, GoalListener):
     async def _park_each(self, _request: Message) -> str:
         """Park the arms one after the other: on their ways at the same time they could wait for each other."""
         arms = [each for each in self._parkings if not each.context.served.leads]
-        done = {each.context.name: await each.park(PARK) for each in arms}
-        said = "; ".join(f"{name}: {one.message}" for name, one in done.items())
-        if not all(one.done for one in done.values()):
-            raise ServiceError(said)
-        return said
+        ends = {each.context.name: await each.park(PARK) for each in arms}
+        sentence = "; ".join(f"{name}: {end.message}" for name, end in ends.items())
+        if not all(end.done for end in ends.values()):
+            raise ServiceError(sentence)
+        return sentence
 
     async def start(self) -> None:
         await self._keeping.start()

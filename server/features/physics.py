@@ -61,7 +61,7 @@ def physics_of(context: ServerContext) -> list[Feature]:
 
 
 class ArmWorld:
-    """World of one arm, in its process: there it moves the bodies that are its own, and the others stay for it."""
+    """World of one arm, in its process: there the bodies of this arm move, and all others stay where they are."""
 
     def __init__(self, arm: ArmContext, handle: Arm) -> None:
         settings, robot = arm.served.settings, arm.robot
@@ -70,7 +70,7 @@ class ArmWorld:
         self.gripper_joints = () if robot.gripper is None else robot.gripper.joints
         self.version = 0
         self.state: ArmState | None = None
-        self._foot = IDENTITY  # its root link in the frame of the scene
+        self._root = IDENTITY  # pose of its root link in the frame of the scene
         if isinstance(settings, NamedArmSettings):
             roll, pitch, yaw = settings.base_rpy_rad
             if roll or pitch:
@@ -78,13 +78,13 @@ class ArmWorld:
                     f"arms.{arm.name}.base_rpy_rad: physics needs an upright arm, with roll and pitch 0, not "
                     f"{roll:g} and {pitch:g} rad"
                 )
-            self._foot = Pose(settings.base_xyz_m, (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)))
+            self._root = Pose(settings.base_xyz_m, (0.0, 0.0, math.sin(0.5 * yaw), math.cos(0.5 * yaw)))
 
     def send(self, bodies: Iterable[Body], placed: Mapping[str, Pose]) -> None:
-        """Send bodies, and poses at which movable ones are put, all in the frame of the scene."""
+        """Send bodies, and the poses at which movable bodies are put, all in the frame of the scene."""
         self.version += 1
-        moved = tuple(_at(body, seen_from(self._foot, _pose(body))) for body in bodies)
-        places = {name: seen_from(self._foot, pose) for name, pose in placed.items()}
+        moved = tuple(_at(body, seen_from(self._root, _pose(body))) for body in bodies)
+        places = {name: seen_from(self._root, pose) for name, pose in placed.items()}
         put = {name: (pose.position_m, pose.orientation) for name, pose in places.items()}
         self.arm.simulate(SetBodies(self.version, moved, put))
 
@@ -92,7 +92,7 @@ class ArmWorld:
         """Return the bodies that have moved by the latest state, in the frame of the scene."""
         if self.state is None or self.state.bodies is None or self.state.bodies.version != self.version:
             return []
-        return [_at(each, in_root(self._foot, _pose(each))) for each in self.state.bodies.bodies]
+        return [_at(each, in_root(self._root, _pose(each))) for each in self.state.bodies.bodies]
 
     @property
     def gripper_goal_rad(self) -> list[float]:
@@ -107,7 +107,7 @@ class ArmWorld:
         return -1 if self.state is None or self.state.stepped_ticks is None else self.state.stepped_ticks
 
     def distance_m(self, pose: Pose) -> float:
-        return math.dist(self._foot.position_m, pose.position_m)
+        return math.dist(self._root.position_m, pose.position_m)
 
 
 @dataclass(frozen=True)
@@ -138,9 +138,9 @@ class Physics(Feature):
         self.body_states: dict[str, BodyState] = {}  # the latest of the movable bodies, by object
         # Objects of the scene at the poses of their bodies, which need not be moved there.
         self._known: dict[str, CollisionObject] = {}
-        # Of each body: time by the arm's clock at which it was held last [s], and the gripper's goals then.
+        # By object: time of the arm's clock at which it was held last [s], and the gripper's goals then.
         self._held_at_s: dict[str, tuple[float, list[float]]] = {}
-        self._updated_at_s: dict[str, float] = {}
+        self._updated_at_s: dict[str, float] = {}  # by arm
         self._stated = asyncio.Event()
         self._paused = self._stepping = False
         # Contents of the world that was loaded, and its movable objects; None without one.
@@ -236,15 +236,15 @@ class Physics(Feature):
                 bodies[name], known[name] = self._bodies[name], held.collision_object
         if (left_out := len(bodies) + len(contents.objects) - MAX_BODIES) > 0:
             log.warning("physics has %d objects at most: the last %d of the scene are left out", MAX_BODIES, left_out)
-        for name, each in islice(contents.objects.items(), max(0, MAX_BODIES - len(bodies))):
+        for name, present in islice(contents.objects.items(), max(0, MAX_BODIES - len(bodies))):
             before = self._known.get(name)
             # A detached object is where the fingers left it, not where its link would have carried it.
-            same = before is each or (before is not None and before.frame != each.frame)
-            bodies[name] = self._bodies[name] if same else self._body_of(each)
+            same = before is present or (before is not None and before.frame != present.frame)
+            bodies[name] = self._bodies[name] if same else self._body_of(present)
             # Its body may have moved since, also if the object is put where it was put before.
             if not same and name in self.body_states:
-                put[name] = each.pose
-            known[name] = each
+                put[name] = present.pose
+            known[name] = present
         self._known = known
         for kept in (self._movable, self._held_at_s):
             for name in kept.keys() - known.keys():
@@ -257,7 +257,7 @@ class Physics(Feature):
                 self._move_by(name, holder)
 
     def _move_by(self, name: str, mover: str) -> None:
-        """Let a movable object move in the world of an arm, from where it is."""
+        """Have a movable object move in the world of an arm, from where it is."""
         if self._movable[name].mover != mover:
             state, self._movable[name] = self.body_states.get(name), replace(self._movable[name], mover=mover)
             self._held_at_s.pop(name, None)
@@ -283,34 +283,35 @@ class Physics(Feature):
             {name: pose for name, pose in placed.items() if name in own},
         )
 
-    def _body_of(self, each: CollisionObject) -> Body:
-        movable = self._movable.get(each.name)
+    def _body_of(self, collision_object: CollisionObject) -> Body:
+        movable, fixed = self._movable.get(collision_object.name), body_of(collision_object)
         if movable is None:
-            return body_of(each)
-        return replace(body_of(each), movable=True, mass_kg=movable.mass_kg, friction=movable.friction)
+            return fixed
+        return replace(fixed, movable=True, mass_kg=movable.mass_kg, friction=movable.friction)
 
     def _set_body(self, request: dict[str, Any], mover: str | None = None) -> str:
         name = request["id"]
-        each = self._scene.contents.objects.get(name)
-        if each is None:
+        collision_object = self._scene.contents.objects.get(name)
+        if collision_object is None:
             raise ServiceError(f"there is no object {name!r} in the planning scene")
         if name not in self._bodies:
             raise ServiceError(f"physics has {MAX_BODIES} objects at most, and {name!r} is left out")
-        self._note_movable(request, each, mover)
-        self._send({**self._bodies, name: self._body_of(each)}, {})
+        self._note_movable(request, collision_object, mover)
+        self._send({**self._bodies, name: self._body_of(collision_object)}, {})
         return f"{name} {'can be moved' if request['movable'] else 'stays where it is'}"
 
-    def _note_movable(self, request: Message, each: CollisionObject, mover: str | None = None) -> None:
-        """Note figures of a body, which the nearest arm moves for None; raises ServiceError for wrong ones."""
+    def _note_movable(self, request: Message, collision_object: CollisionObject, mover: str | None = None) -> None:
+        """Note figures of a body, whose mover is the nearest arm for None; raises ServiceError for wrong figures."""
         if refusal := body_refusal(request):
             raise ServiceError(refusal)
-        self._movable.pop(each.name, None)
+        name = collision_object.name
+        self._movable.pop(name, None)
         if request["movable"]:
-            if any(isinstance(shape, Plane) for shape, _ in each.shapes):
-                raise ServiceError(f"{each.name!r} has a plane, and cannot be movable")
+            if any(isinstance(shape, Plane) for shape, _ in collision_object.shapes):
+                raise ServiceError(f"{name!r} has a plane, and cannot be movable")
             if mover is None:
-                mover = min(self._worlds.values(), key=lambda world: world.distance_m(each.pose)).name
-            self._movable[each.name] = _Movable(request["mass"], request["friction"] or DEFAULT_FRICTION, mover)
+                mover = min(self._worlds.values(), key=lambda world: world.distance_m(collision_object.pose)).name
+            self._movable[name] = _Movable(request["mass"], request["friction"] or DEFAULT_FRICTION, mover)
 
     def _open_world(self, name: str, seed: int, context: ServerContext) -> None:
         """Begin with the world of a file, its movable objects at places drawn with a seed."""
@@ -425,18 +426,18 @@ def _at(body: Posed, pose: Pose) -> Posed:
 
 
 def _differ(first: Pose, second: Pose) -> bool:
-    way_m = np.abs(np.subtract(first.position_m, second.position_m)).max()
+    distance_m = np.abs(np.subtract(first.position_m, second.position_m)).max()
     turned = np.abs(np.subtract(first.orientation, second.orientation)).max()
-    return bool(way_m > SAME_M or turned > SAME_QUATERNION)
+    return bool(distance_m > SAME_M or turned > SAME_QUATERNION)
 
 
 CONE_SIDES = 24  # of the prism that stands for a cone
 
 
-def body_of(each: CollisionObject) -> Body:
-    """Return the body of an object at its pose, which stays where it is."""
-    shapes = tuple(_body_shape(*shape) for shape in each.shapes)
-    return Body(each.name, shapes, each.pose.position_m, each.pose.orientation)
+def body_of(collision_object: CollisionObject) -> Body:
+    """Return the fixed body of an object at its pose."""
+    shapes, pose = tuple(_body_shape(*shape) for shape in collision_object.shapes), collision_object.pose
+    return Body(collision_object.name, shapes, pose.position_m, pose.orientation)
 
 
 def _body_shape(shape: Shape, pose: Pose) -> BodyShape:
@@ -461,7 +462,7 @@ def _body_shape(shape: Shape, pose: Pose) -> BodyShape:
 
 
 def _outermost(points_m: Vector) -> Vector:
-    """Return the corners of a convex hull, or of one inside it whose corners are the outermost in many directions."""
+    """Return corners of the convex hull of points, shape (n, 3) [m]: of many, the outermost in many directions."""
     points = np.unique(points_m, axis=0)
     if len(points) <= MAX_HULL_CORNERS:
         return points
@@ -504,11 +505,11 @@ def read_world(name: str, message_types: MessageTypes) -> tuple[Message, Sequenc
     listed = bodies if isinstance(bodies, list) else [bodies]
     requests = [message_types.complete("armbridge_msgs/srv/SetBody_Request", each) for each in listed]
     names = {each["id"] for each in scene["world"]["collision_objects"]}
-    for at, request in enumerate(requests):
+    for index, request in enumerate(requests):
         if request["id"] not in names:
-            raise ValueError(f"bodies[{at}].id: there is no object {request['id']!r} in the scene")
+            raise ValueError(f"bodies[{index}].id: there is no object {request['id']!r} in the scene")
         if refusal := body_refusal(request):
-            raise ValueError(f"bodies[{at}].{refusal}")
+            raise ValueError(f"bodies[{index}].{refusal}")
     return scene, requests
 
 

@@ -17,7 +17,7 @@ log = logging.getLogger("armbridge.arm")
 
 LOOK_S = 0.1
 
-# A shorter suspension is none: nobody has come near the arm meanwhile.
+# Shorter suspensions do not count: nobody has come near the arm meanwhile.
 LEAST_S = 1.0
 
 # Least and greatest value that a time may have [s].
@@ -25,7 +25,7 @@ Bounds: TypeAlias = tuple[float, float]
 
 
 def suspended_s() -> Bounds:
-    """Return the time that the machine has been suspended since its start, as far as clocks read in a row tell."""
+    """Return bounds of the time that the machine has been suspended since its start [s]: clocks are read in a row."""
     # The monotonic clock stands still meanwhile, and the clock of the time since the start does not (clock_gettime(2)).
     before_s = time.monotonic()
     since_start_s = time.clock_gettime(time.CLOCK_BOOTTIME)
@@ -35,8 +35,8 @@ def suspended_s() -> Bounds:
 class Suspension(Feature):
     """Stops all arms when the machine was suspended, or the arm that a standstill has stopped.
 
-    Hours later nobody expects that they go on. The arm process notices each standstill but the machine's, whose clocks
-    stand still as well.
+    Hours later nobody expects that they go on. The arm process notices every standstill except the machine's, in which
+    its clock stands still as well.
     """
 
     name = "suspension"

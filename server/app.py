@@ -50,9 +50,9 @@ from server.installation import PAGE_DIRECTORY
 from server.interfaces import load_registry
 from server.lifecycle import (
     BackgroundTask,
+    DiskThreads,
     Feature,
     Part,
-    Threads,
     on_hangup,
     start_in_order,
     stop_in_reverse,
@@ -72,7 +72,7 @@ log = logging.getLogger("armbridge")
 STOP_TOTAL_S = 2.6
 
 # Far more than there are places of files: a disk that never answers holds one thread for each place at most.
-THREADS = 32
+DISK_THREADS = 32
 
 # More than the arm's handle gives its process [s].
 ARM_STOP_S = CLOSE_LIMIT_S + 10.0
@@ -92,7 +92,7 @@ def serve(settings: Settings, arm_process: StartedChild | None = None, inherited
     notifier = SystemdNotifier.from_environment()
 
     async def run(settings: Settings) -> None:
-        asyncio.get_running_loop().set_default_executor(Threads(THREADS))
+        asyncio.get_running_loop().set_default_executor(DiskThreads(DISK_THREADS))
         app = App(settings, arm_process, inherited, notifier=notifier)
         while (following := await app.run()) is not None:
             settings, recalibrated = following

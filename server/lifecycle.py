@@ -41,7 +41,7 @@ class Part:
     beyond_total: bool = False
 
 
-class Threads(ThreadPoolExecutor):
+class DiskThreads(ThreadPoolExecutor):
     """Threads for work that waits for a disk, which may never answer: the end of the event loop waits for none."""
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = True) -> None:  # noqa: ARG002

@@ -9,15 +9,15 @@ from server.errors import refused
 # A stream that was stopped has ended when the topic is silent for this time: clients publish at 10 Hz and more.
 STREAM_PAUSE_S = 0.5
 
-# A silence has these parts. A standstill counts as one, so that at least four fifths of a silence are real.
+# Parts of a silence. A standstill ends one of them at most, so that at least four fifths of a silence are real.
 SILENCE_PARTS = 5
 
 
 class Silence:
     """Wait for the silence of a stream of messages, in parts that the event loop waits for one after the other.
 
-    By a clock, a standstill of the server would count as silence, though the messages of that time are only not read
-    yet: a stick that was held on all the while moved the arm again after a stop. Of a standstill one part counts.
+    By a clock, a standstill of the server would count as silence, because the messages of that time are not read yet: a
+    stick that was held on all the while moved the arm again after a stop. A standstill counts as one part.
     """
 
     def __init__(self, pause_s: float) -> None:
@@ -25,8 +25,8 @@ class Silence:
         self._parts_left = 0
         self._timer: asyncio.TimerHandle | None = None
 
-    def end(self) -> bool:
-        """Take a message; return True if it is the first, or the first after a silence."""
+    def take_message(self) -> bool:
+        """Note a message; return True for the first, and for the first after a silence."""
         if self._timer is not None:
             self._timer.cancel()
         over, self._parts_left = not self._parts_left, SILENCE_PARTS
@@ -51,7 +51,7 @@ class MessageStream:
 
     def check(self, last_stop: int) -> None:
         """Take a message; raise RefusedError where the arm's last stop has ended the stream."""
-        if self._silence.end():
+        if self._silence.take_message():
             self._epoch = arrival_epoch()
         if is_stopped(last_stop, self._epoch):
             text = f"the arm was stopped: publish nothing on {self._topic} for {self._pause_s:g} s to move it again"

@@ -24,7 +24,7 @@ _PASSED_STATUSES = (GoalStatus.SUCCEEDED, GoalStatus.CANCELED)
 
 
 class _Requests(Generic[AnyRequest]):
-    """Names of one kind that a client offers with the requests to them, and its own requests of that kind."""
+    """Services or actions that a client offers, the requests to them, and the client's own requests to others."""
 
     def __init__(self, context: ClientContext, kind: Literal["service", "action"], offers: Services | Actions) -> None:
         self._client = context
@@ -33,8 +33,8 @@ class _Requests(Generic[AnyRequest]):
         self._kind = kind
         self._offers = offers
         self._offered: set[str] = set()
-        # Requests that the client is to answer, by the ids that it got. No id is ever given twice, so that no late
-        # answer is taken for another request's.
+        # Requests that the client has to answer, by the ids that it got. No id is given twice, so that no late answer
+        # ends another request.
         self._requested: dict[Mark, AnyRequest] = {}
         self._numbers = itertools.count(1)
         self._values_in_flight = 0
@@ -76,13 +76,13 @@ class _Requests(Generic[AnyRequest]):
         if request is not None:
             request.fail(f"{request.title} gave a {request.answered.lower()} that cannot be read: {problem}")
 
-    def _limit(self, count: int, what: str) -> str | None:
-        """Return the limit at which no further call, or goal, of this client is taken on; None below it."""
+    def _limit(self, count: int, requests: str) -> str | None:
+        """Return the limit at which no further request of this client is taken on; None below it."""
         if count >= self._limits.max_calls_in_flight:
-            return f"{count} {what} of this client wait, which is the limit"
+            return f"{count} {requests} of this client wait, which is the limit"
         if self._values_in_flight >= MAX_VALUES_IN_FLIGHT:
             values = f"{self._values_in_flight} values wait, the limit is {MAX_VALUES_IN_FLIGHT}"
-            return f"{what} of this client with {values}"
+            return f"{requests} of this client with {values}"
         return None
 
 

@@ -17,10 +17,10 @@ LIFESPAN_S = 1.0
 NO_LATCH = "field latch: has no effect, it needs the role operate"
 
 
-# Topics of a client whose messages are tried the strict way; those beyond take the general one.
+# Topics of a client whose messages are read the strict way; messages of further topics are read the general way.
 MAX_STRICT_TOPICS = 1000
 
-# Where the topic is looked for in a publish operation. What stands there is made sure of when the frame is read.
+# The topic's place in a publish operation, which is checked when the frame is read.
 _TOPIC = re.compile(r'"topic"\s*:\s*"([^"\\]+)"')
 _TOPIC_WITHIN = 1024
 

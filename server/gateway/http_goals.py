@@ -74,7 +74,7 @@ class HttpGoals:
         authorizer = Authorizer(node, self._access, self._graph)
         answered: asyncio.Future[Response | Result] = asyncio.get_running_loop().create_future()
 
-        def answer(end: Response | Result) -> None:
+        def take_end(end: Response | Result) -> None:
             # The goal of a client that has left may end later.
             if not answered.done():
                 answered.set_result(end)
@@ -84,8 +84,8 @@ class HttpGoals:
             # A stop is carried out whatever its query is.
             timeout_s = DEFAULT_TIMEOUT_S if operation.args is None else _read_query(posted.query)
             with arrived_in(epoch_after(operation.after_stop, posted.epoch)):
-                self._send(operation, node, authorizer, answer)
-            # Of the stops since it asked, the sender knows its own alone.
+                self._send(operation, node, authorizer, take_end)
+            # The sender of a goal knows the stops before it, the sender of a stop its own as well.
             stops = STOP_EPOCHS.present if operation.args is None else posted.epoch
             async with asyncio.timeout(timeout_s):
                 status, values = _answer_of(await answered)
@@ -108,7 +108,7 @@ class HttpGoals:
         operation: CallService | SendActionGoal,
         node: Node,
         authorizer: Authorizer,
-        answer: Callable[[Response | Result], None],
+        take_end: Callable[[Response | Result], None],
     ) -> None:
         graph = self._graph
         if isinstance(operation, CallService):
@@ -123,9 +123,9 @@ class HttpGoals:
         if refusal is not None:
             raise _RefusedError(refusal, HTTPStatus.CONFLICT)
         if isinstance(operation, CallService):
-            graph.services.call(node, name, operation.args, answer, MAX_TIMEOUT_S)
+            graph.services.call(node, name, operation.args, take_end, MAX_TIMEOUT_S)
         else:
-            graph.actions.send_goal(node, name, GRIPPER_TYPE, operation.args, answer)
+            graph.actions.send_goal(node, name, GRIPPER_TYPE, operation.args, take_end)
 
     def _read(self, body: bytes) -> CallService | SendActionGoal:
         try:

@@ -48,7 +48,7 @@ MAX_COMPLETIONS = 3
 
 @dataclass(slots=True, eq=False)
 class Waiting:
-    """Frame, or an operation of it, on its way to be carried out; ``light`` if it is so quickly, however long it is."""
+    """Frame, or one of its operations, on its way to be carried out; ``light`` if that is quick, however long it is."""
 
     item: str | bytes | Operation | Refusal | Packed
     size_bytes: int
@@ -71,17 +71,17 @@ class Inbox:
         self._clock = context.clock
         self._waiting: deque[Waiting] = deque()
         self._waiting_bytes = 0
-        # True while a thread works on what was the first.
+        # True while a thread works on the item that was the first.
         self._in_progress = False
         self._holds_reader = False
-        # Set by a frame that waits; until when further ones are waited for.
+        # Set by each frame that waits, and the time until which the work waits for further frames.
         self._arrived = False
         self._read_ahead_until_s = 0.0
         # Set by a frame that took longer than its turn: the next one waits, so that a stop behind it is found soon.
         self._overran = False
-        # A client has the threads for half of the time at most.
+        # Time of the next job for a thread: a client has the threads for half of the time at most.
         self._next_job_s = 0.0
-        # Stops and cancels that came faster than the lane is worked off.
+        # Stops and cancels that came faster than their lane allows.
         self._stops: deque[Waiting] = deque()
         self._next_stop_s = 0.0
         self._closed = False
@@ -150,7 +150,7 @@ class Inbox:
         self._holds_reader = full
 
     def _published(self, waiting: Waiting) -> bool:
-        """Publish what a frame says in the quick way, which takes it for one of the present epoch."""
+        """Publish a frame's message in the quick way, which dates it to the present stop epoch; False for others."""
         frame, present = waiting.item, waiting.epoch == STOP_EPOCHS.present
         return present and isinstance(frame, str) and self.client.publish_strictly(frame)
 
@@ -268,14 +268,14 @@ class Inbox:
         self._run(complete, waiting)
 
     def _run(self, job: Callable[[], Sequence[Operation | Refusal | Packed] | None], waiting: Waiting) -> None:
-        """Have a thread work on what was the first; put it, or what was read of it, before all that waits."""
+        """Have a thread work on the first item; put it, or the operations read from it, before all that waits."""
         self._in_progress = True
 
         def attempt() -> Sequence[Operation | Refusal | Packed] | MemoryError | None:
             try:
                 return job()
             except MemoryError:
-                # Another one: the traceback holds on to the message.
+                # A new error: the traceback of the first keeps the message.
                 return MemoryError()
 
         def finish(result: Sequence[Operation | Refusal | Packed] | MemoryError | None, cost_s: float) -> None:

@@ -28,7 +28,7 @@ from server.gateway.connection import Connection, Traffic
 from server.gateway.http import HttpHandler
 from server.gateway.settings import ServerSettings
 from server.gateway.transport import TcpStream, Transport, keep_alive
-from server.gateway.turns import Threads, Turns
+from server.gateway.turns import MessageThreads, Turns
 from server.gateway.websocket import WebSocket
 from server.graph.permissions import Node
 from server.graph.topics import Graph
@@ -252,7 +252,7 @@ class Listener:
         # Each connection from its `connection_made` to its `connection_lost`.
         self._transports: set[Transport] = set()
         self._clients = ClientList(graph)
-        self._threads = Threads()
+        self._threads = MessageThreads()
         self._gateway = Gateway(
             graph,
             self._access,

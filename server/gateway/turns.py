@@ -1,8 +1,8 @@
 """Turns of the clients with work that waits, one after the other; and the threads for what takes longer than a turn.
 
 Everything in the server waits while an operation is carried out. So a client gets half a millisecond at a time, and all
-of them together a millisecond; then the event loop looks at its sockets again. What one step takes longer for, because
-a message is large, is done by a thread.
+clients together a millisecond; then the event loop looks at its sockets again. A thread takes the steps that a large
+message makes longer.
 """
 
 from __future__ import annotations
@@ -27,8 +27,7 @@ log = logging.getLogger("armbridge.gateway")
 TURN_S = 0.0005
 ROUND_S = 0.001
 
-# One for a client's large message while another's is worked on; with more, the event loop waits for the interpreter's
-# lock behind each.
+# Two large messages at a time: behind each further thread the event loop would wait for the interpreter's lock.
 THREADS = 2
 
 # Bounds of one client's inbox [bytes]: several of the largest trajectories that clients send. Beyond a total of all
@@ -47,7 +46,7 @@ class Turns:
         self,
         call_soon: Callable[[Callable[[], object]], object],
         clock: Callable[[], float],
-        background: Threads,
+        background: MessageThreads,
         call_later: CallLater = call_later,
     ) -> None:
         self.call_soon = call_soon
@@ -99,8 +98,8 @@ class Turns:
             self.call_soon(self._play_round)
 
 
-class Threads:
-    """Threads of a gateway; to be used in the event loop alone."""
+class MessageThreads:
+    """Threads for the large messages of a gateway's clients; its methods are called in the event loop alone."""
 
     def __init__(self) -> None:
         self._executor = ThreadPoolExecutor(THREADS, thread_name_prefix="armbridge-large")
@@ -109,7 +108,7 @@ class Threads:
         self._closed = False
 
     def run(self, job: Callable[[], Done], done: Callable[[Done, float], None], failed: Callable[[], None]) -> None:
-        """Run a job; in the event loop ``done`` gets its result and processor time [s], or ``failed`` is called."""
+        """Run a job; then call ``done`` with its result and processor time [s], or ``failed``, in the event loop."""
 
         def timed() -> tuple[Done, float]:
             began_s = time.thread_time()
@@ -130,7 +129,7 @@ class Threads:
             asyncio.get_running_loop().run_in_executor(self._executor, timed).add_done_callback(finish)
 
     def encode(self, encoded: EncodedMessage, ready: Callable[[], None]) -> None:
-        """Encode a message, once for all who ask; ``ready`` is called in the event loop, also on failure."""
+        """Encode a message once, for however many calls; ``ready`` is called in the event loop, also on failure."""
         waiting = self._encoding.get(encoded)
         if waiting is not None:
             waiting.append(ready)
@@ -144,7 +143,7 @@ class Threads:
         self.run(lambda: encode_or_log(encoded), lambda _result, _cost_s: end(), end)
 
     def close(self) -> None:
-        """Begin no further job; those that run end unheard."""
+        """Begin no further job; nobody is called at the end of a running one."""
         self._closed = True
         self._executor.shutdown(wait=False, cancel_futures=True)
 

@@ -116,12 +116,12 @@ class StatusPublisher:
 
 
 class CommandGate:
-    """Gate for commands: it lets commands of the client in control pass. A stop ends sticks."""
+    """Gate that passes the commands of the client in control; after a stop a stick must be released first."""
 
     def __init__(self, present: Callable[[object], bool], timeout_s: float, arm: AnyArm) -> None:
         self._present = present
         self.owner: object = None  # the client in control, until it leaves or sends no more commands
-        self._timeout_s = timeout_s  # a stick that is silent for so long counts as released
+        self._timeout_s = timeout_s  # a stick that is silent for this time counts as released
         self._arm = arm
         # Stop epoch of the last command.
         self._heard_epoch = 0
@@ -133,9 +133,9 @@ class CommandGate:
         self.paused = False  # true while all commands are rejected
 
     def press(self, client: object, timeout_s: float, present: Container[object]) -> None:
-        """Take the announcement of a press: from now on a release of this client's stick is followed by another press.
+        """Take the announcement of a press: from now on, this client announces each press after a release.
 
-        Silence alone is no release then. The commands of a client whose process or network stood still have a gap too.
+        Silence alone is no release then: commands also have a gap where the client's process or network stood still.
 
         Args:
             timeout_s: time after which this client's commands expire, at most the timeout of all [s].
@@ -178,7 +178,7 @@ class CommandGate:
         if (silence := self._silences.get(client)) is None:
             self._silences = {each: silence for each, silence in self._silences.items() if self._present(each)}
             silence = self._silences[client] = Silence(self._timeout_s)
-        let_go = silence.end()
+        let_go = silence.take_message()
         left = now_s - self._heard_s > OWNERSHIP_TIMEOUT_S or not self._present(self.owner)
         if self.owner is not None and left:
             self.owner = None
@@ -225,7 +225,7 @@ class ServoNode:
         self._gate = CommandGate(self._present, setup.timeout_s, arm)
         self._session = ServoSession(arm, setup, planning, self._status.publish, self._gate.interrupt)
         self._last_stop = 0  # stop epoch of the last stop of steering alone
-        # Rejected last for another client's control: it repeats its commands many times a second.
+        # The last logged rejection: a client without control repeats its commands many times a second.
         self._logged = ""
         for topic, type_name, read in (
             (TWIST_TOPIC, "geometry_msgs/TwistStamped", lambda twist: read_twist(twist, servo)),

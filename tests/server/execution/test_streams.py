@@ -16,18 +16,18 @@ pytestmark = pytest.mark.stepped_time
 
 async def test_a_silence_is_over_after_its_time_and_no_sooner() -> None:
     silence = Silence(1.0)
-    assert silence.end()
+    assert silence.take_message()
     for pause_s, over in ((0.9, False), (0.9, False), (1.1, True), (0.9, False)):
         await asyncio.sleep(pause_s)
-        assert silence.end() is over
+        assert silence.take_message() is over
 
 
 async def test_a_standstill_is_no_silence() -> None:
     silence = Silence(1.0)
-    silence.end()
+    silence.take_message()
     cast("SteppedLoop", asyncio.get_running_loop()).advance(100.0)
     await asyncio.sleep(0.7)
-    assert not silence.end()
+    assert not silence.take_message()
 
 
 async def test_a_message_from_before_a_stop_does_not_begin_a_stream_again() -> None:

@@ -15,7 +15,7 @@ from protocol.publication import EncodedMessage
 from server.gateway import connection
 from server.gateway.listener import Listener
 from server.gateway.settings import ServerSettings
-from server.gateway.turns import Threads, encode_or_log
+from server.gateway.turns import MessageThreads, encode_or_log
 from server.graph.permissions import Node
 from server.graph.topics import Graph
 from tests.helpers.gateway import listening, receive, say
@@ -93,11 +93,11 @@ async def test_large_answers_that_come_at_once_all_arrive(monkeypatch: pytest.Mo
 
 
 async def test_a_message_that_was_encoded_for_longer_than_it_may_wait_is_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    def encode_late(_: Threads, encoded: EncodedMessage, _ready: Callable[[], None]) -> None:
+    def encode_late(_: MessageThreads, encoded: EncodedMessage, _ready: Callable[[], None]) -> None:
         # As on a busy machine: the event loop looks at what waits before it learns that the message is there.
         asyncio.get_running_loop().call_later(0.3, encode_or_log, encoded)
 
-    monkeypatch.setattr(Threads, "encode", encode_late)
+    monkeypatch.setattr(MessageThreads, "encode", encode_late)
     async with world_with(Limits(max_topic_delay_s=0.1)) as world:
         reader = await world.reader()
         world.publish(1, 3_000_000)

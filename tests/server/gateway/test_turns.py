@@ -7,17 +7,19 @@ import pytest
 from harness.waiting import TIMEOUT_S
 from protocol.errors import MessageError
 from protocol.publication import EncodedMessage, Frame
-from server.gateway.turns import Threads
+from server.gateway.turns import MessageThreads
 
 
 @pytest.fixture
-def threads() -> Iterator[Threads]:
-    made = Threads()
+def threads() -> Iterator[MessageThreads]:
+    made = MessageThreads()
     yield made
     made.close()
 
 
-async def test_jobs_end_in_the_event_loop_also_by_failing(threads: Threads, caplog: pytest.LogCaptureFixture) -> None:
+async def test_jobs_end_in_the_event_loop_also_by_failing(
+    threads: MessageThreads, caplog: pytest.LogCaptureFixture
+) -> None:
     ended = asyncio.get_running_loop().create_future()
     threads.run(
         threading.get_ident,
@@ -38,7 +40,7 @@ async def test_jobs_end_in_the_event_loop_also_by_failing(threads: Threads, capl
 
 
 async def test_a_message_is_encoded_once_for_all_who_ask_and_left_out_with_a_log_line_if_it_cannot_be(
-    threads: Threads, caplog: pytest.LogCaptureFixture
+    threads: MessageThreads, caplog: pytest.LogCaptureFixture
 ) -> None:
     encoded, ready = [], asyncio.Semaphore(0)
 

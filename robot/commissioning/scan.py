@@ -13,9 +13,7 @@ from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import (
     CONTROL,
     SETTINGS_BLOCK,
-    TABLE,
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
+    TELEMETRY,
     VOLT_PER_UNIT,
     Register,
 )
@@ -30,7 +28,7 @@ FACTORY_ID = 1  # id of a new servo
 
 
 # All documented registers, in blocks that the bus reads elsewhere too: a servo need not answer any longer read.
-BLOCKS = (SETTINGS_BLOCK, CONTROL, TABLE.block(Register.PRESENT_POSITION, Register.PRESENT_CURRENT))
+BLOCKS = (SETTINGS_BLOCK, CONTROL, TELEMETRY)
 
 
 @dataclass(frozen=True)
@@ -167,7 +165,7 @@ def measure_cycles(
         due_s = max(due_s + PERIOD_S, clock())
         wait(max(0.0, due_s - clock()))
         start_s = clock()
-        frames = bus.sync_read(servo_ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+        frames = bus.sync_read(servo_ids, TELEMETRY.address, TELEMETRY.length)
         lateness.append(start_s - due_s)
         replies += len(frames)
         if len(frames) == len(servo_ids):

@@ -27,7 +27,7 @@ from robot.errors import BackupError, NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import ServoProfile
-from robot.hardware.feetech.registers import EPROM, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.hardware.feetech.registers import EPROM, TELEMETRY, Register
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
 
@@ -389,7 +389,7 @@ def _candidates(
 def _answers(bus: Bus, servo_id: int) -> bool:
     for _ in range(ATTEMPTS):
         before = bus.counters.discarded_bytes
-        if bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES) or bus.counters.discarded_bytes > before:
+        if bus.sync_read((servo_id,), TELEMETRY.address, TELEMETRY.length) or bus.counters.discarded_bytes > before:
             return True
     return False
 

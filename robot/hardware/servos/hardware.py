@@ -15,10 +15,12 @@ import numpy as np
 
 from robot.calibration import RAD_PER_TICK, Calibration
 from robot.description.limits import JointBounds
+from robot.description.servo_table import ServoKind
 from robot.errors import NoReply, PortLost, StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.boards import resolve_port
 from robot.hardware.config import SerialConfig
+from robot.hardware.feetech.profiles import ServoProfile
 from robot.hardware.interface import Flags, HardwareInterface, Measured, Steps, Survey
 from robot.hardware.servos import torque
 from robot.hardware.servos.bus import ServoBus, StatusFrame
@@ -410,6 +412,19 @@ class ServoHardware(HardwareInterface):
         if shares != self._shares:
             self._shares, self._limits = shares, self._torque.limits(self.servos.by_servo(torque_share))
         return self._limits
+
+
+def family_of(kind: ServoKind, profile: ServoProfile | None = None) -> ServoFamily:
+    """Return a family of servos, and import no other; Feetech's may have settings of their own."""
+    match kind:
+        case "feetech":
+            from robot.hardware.feetech.family import Feetech
+
+            return Feetech(profile)
+        case "dynamixel":
+            from robot.hardware.dynamixel.family import Dynamixel
+
+            return Dynamixel()
 
 
 def open_servos(

@@ -39,7 +39,7 @@ class ForwardPlacements:
         placed = {self._root: np.eye(4)}
         for step in self._steps:
             place = placed[step.parent] @ step.transform_joint_to_parent
-            placed[step.child] = place if step.joint is None else place @ _moved(step, positions_rad)
+            placed[step.child] = place if step.leader is None else place @ _moved(step, positions_rad)
         return placed
 
     def axis(self, link: str) -> Vector:
@@ -54,18 +54,18 @@ class ForwardPlacements:
 
 @dataclass(frozen=True)
 class _Step:
-    """Joint with its fixed transform and axis, and the joint whose position it takes, mostly itself; None if fixed."""
+    """Joint with its fixed transform and axis."""
 
     parent: str
     child: str
-    joint: Mimic | None
+    leader: Mimic | None  # joint whose position it takes, mostly itself; None for a fixed joint
     slides: bool
     axis: Vector
     transform_joint_to_parent: Vector
 
 
 def _moved(step: _Step, positions_rad: Mapping[str, float]) -> Vector:
-    if step.joint is None:
+    if step.leader is None:
         return np.eye(4)
-    position = step.joint.multiplier * positions_rad[step.joint.joint] + step.joint.offset
+    position = step.leader.multiplier * positions_rad[step.leader.joint] + step.leader.offset
     return joint_motion(step.axis, position, slides=step.slides)

@@ -1,13 +1,12 @@
 """Forward kinematics of a URDF without a kinematics library, for frames and markers."""
 
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from robot.description.model import RobotModel
-from robot.description.urdf import Mimic, joint_motion, origin_transform, unit_axis
+from robot.description.urdf import Mimic, joint_motion, origin_transform, parsed, unit_axis
 from robot.trajectory import Vector
 
 
@@ -16,8 +15,7 @@ class ForwardPlacements:
 
     def __init__(self, robot: RobotModel) -> None:
         self._root = robot.root_link
-        tree = ET.fromstring(robot.urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
-        elements = {joint.get("name"): joint for joint in tree.findall("joint")}
+        elements = {joint.get("name"): joint for joint in parsed(robot.urdf).iterfind("joint")}
         by_child = {joint.child: joint for joint in robot.joints.values()}
         # Links come parents before children.
         self._steps = [

@@ -65,6 +65,9 @@ class Register(RegisterEnum):
     PRESENT_CURRENT = 69, 2, READ_ONLY, 15
 
 
+# Baud rate of each value of register BAUD_RATE.
+BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
+
 # Register MODEL_NUMBER of the servos whose registers are these: Feetech's STS series.
 MODELS: Mapping[str, int] = MappingProxyType({"sts3215": 777, "sts3250": 2825})
 

@@ -24,8 +24,7 @@ from robot.hardware.feetech.bus import SERVO_IDS, Bus
 from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import (
     GOAL_ADDRESS,
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
+    TELEMETRY,
     Register,
     Telemetry,
     parse_telemetry,
@@ -106,7 +105,7 @@ class ServoRig:
     def telemetry(self) -> Telemetry:
         """Read the servo's telemetry; raises NoReply."""
         for _ in range(ATTEMPTS):
-            if frame := self.bus.sync_read((self.servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES).get(self.servo_id):
+            if frame := self.bus.sync_read((self.servo_id,), TELEMETRY.address, TELEMETRY.length).get(self.servo_id):
                 return parse_telemetry(frame.data)
         raise NoReply(self.servo_id, ATTEMPTS)
 
@@ -187,7 +186,7 @@ class ServoRig:
 def _behind_missing(rig: ServoRig) -> Answer:
     missing = next(servo_id for servo_id in reversed(SERVO_IDS) if servo_id not in rig.present_ids)
     asked = (rig.present_ids[0], missing, *rig.present_ids[1:])
-    frames = rig.bus.sync_read(asked, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+    frames = rig.bus.sync_read(asked, TELEMETRY.address, TELEMETRY.length)
     silent = [str(servo_id) for servo_id in rig.present_ids if servo_id not in frames]
     if not silent:
         return Answer("those behind it answer")
@@ -206,7 +205,7 @@ def _return_delay(rig: ServoRig) -> Answer:
             for delay, taken_s in times.items():
                 rig.set(Register.RETURN_DELAY, delay)
                 start_s = rig.clock()
-                if rig.bus.sync_read((rig.servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES):
+                if rig.bus.sync_read((rig.servo_id,), TELEMETRY.address, TELEMETRY.length):
                     taken_s.append(rig.clock() - start_s)
     finally:
         rig.set(Register.RETURN_DELAY, before)

@@ -22,7 +22,7 @@ import pybase64
 
 from protocol import values
 from protocol.errors import LargeMessageError, MessageError, describe, shorten
-from protocol.registry import MAX_COMPILED_TYPES, ArrayBounds, Field, Registry
+from protocol.registry import MAX_COMPILED_TYPES, OCTETS, ArrayBounds, Field, Registry
 
 # Values of the elements of all lists of messages in one message. The largest mesh that is taken into a scene has half
 # as many; completing them takes two seconds at worst, and 150 MB.
@@ -123,9 +123,6 @@ _OTHER_NAMES: Mapping[str, Mapping[str, str | None]] = {
     "moveit_msgs/msg/PositionIKRequest": {"attempts": None},
 }
 
-# Arrays of these are packed into base64 text by rosbridge clients.
-_OCTETS = ("uint8", "char", "byte")
-
 # Range of builtin_interfaces/Time [ns since the epoch].
 _EARLIEST_NS, _LATEST_NS = -(2**31) * 1_000_000_000, 2**31 * 1_000_000_000 - 1
 
@@ -213,12 +210,12 @@ class _PrimitiveArrayShape:
 
 
 class _OctetArrayShape:
-    """An array of octets. Of the three octet types byte alone goes out as a list of integers."""
+    """An array of octets, which may come as base64 text; of byte, it goes out as a list of integers."""
 
     def __init__(self, field: Field, bounds: ArrayBounds) -> None:
         self._name = f"{field.base}[]"
         # rosbridge packs uint8[] and char[] alone (message_conversion), so clients expect integers in a byte[].
-        self._as_text = field.base != "byte"
+        self._as_text = field.base in OCTETS
         self._bounds = bounds
         self._default = bytes(values.default(field))
 
@@ -345,7 +342,7 @@ def _field_shape(registry: Registry, type_name: str, field: Field) -> _Shape:
         return _MessageArrayShape(name, element, values_in(registry, field.base), field.array)
     if field.array is None:
         return _PrimitiveShape(field)
-    if field.base in _OCTETS:
+    if field.base in (*OCTETS, "byte"):
         return _OctetArrayShape(field, field.array)
     return _PrimitiveArrayShape(name, field, field.array)
 

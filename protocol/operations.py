@@ -4,8 +4,7 @@ A row of `OPERATIONS` is all that an op needs to be understood. A field's descri
 refusals quote it. Fields that are not listed are ignored, as rosbridge ignores them.
 """
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, TypeAlias, get_args
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -132,7 +131,8 @@ class Publish(Operation):
     after_stop: StopNumber = None
 
 
-_COMPRESSIONS: Mapping[str, Compression] = {name: name for name in get_args(Compression)}
+# From rosbridge_library, capabilities/subscribe.py: the first that any id asks for serves them all.
+COMPRESSIONS: tuple[Compression, ...] = ("cbor-raw", "cbor", "png", "none")
 
 
 class Subscribe(Operation):
@@ -149,7 +149,7 @@ class Subscribe(Operation):
     @property
     def encoding(self) -> Compression:
         """Applied compression: an unknown one counts as none, as in rosbridge_library."""
-        return _COMPRESSIONS.get(self.compression, "none")
+        return next((each for each in COMPRESSIONS if each == self.compression), "none")
 
 
 class Unsubscribe(Operation):

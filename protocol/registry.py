@@ -87,6 +87,7 @@ Kind: TypeAlias = Literal["msg", "srv", "action"]
 
 _INTEGERS = ("int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64")
 TEXTS = frozenset(("string", "wstring"))
+OCTETS = ("uint8", "char")  # arrays of these are base64 text in a complete message, as rosbridge clients have them
 PRIMITIVES = frozenset((*_INTEGERS, *TEXTS, "bool", "byte", "char", "float32", "float64"))
 
 # `float64`, `geometry_msgs/Point`, `float64[]`, `float64[9]`, `float64[<=3]`, `string<=20`, `string<=20[<=3]`

@@ -17,7 +17,7 @@ import msgspec
 from protocol import values
 from protocol.errors import InterfaceError
 from protocol.operations import MAX_ID_CHARACTERS, MAX_NAME_CHARACTERS
-from protocol.registry import MAX_COMPILED_TYPES, ArrayBounds, Field, MessageType, Registry
+from protocol.registry import MAX_COMPILED_TYPES, OCTETS, ArrayBounds, Field, MessageType, Registry
 
 _encode = msgspec.json.Encoder().encode
 
@@ -122,7 +122,7 @@ def _octet_arrays(
 
 def _is_octet_text(field: Field) -> bool:
     """Return True for an array that goes out as base64 text; byte[] goes out as a list of integers."""
-    return field.array is not None and field.base in ("uint8", "char")
+    return field.array is not None and field.base in OCTETS
 
 
 def _attribute(place: int) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from protocol.errors import NothingToDoError, OperationError, describe
-from protocol.operations import Advertise, Compression, Mark, Subscribe, qualify
+from protocol.operations import COMPRESSIONS, Advertise, Compression, Mark, Subscribe, qualify
 
 T = TypeVar("T", Advertise, Subscribe)
 
@@ -62,10 +62,6 @@ class Registrations(Generic[T]):
         if not ids:
             del self._entries[qualify(topic)]
         return not ids
-
-
-# From rosbridge_library, capabilities/subscribe.py: the first that any id asks for serves them all.
-COMPRESSIONS: tuple[Compression, ...] = ("cbor-raw", "cbor", "png", "none")
 
 
 @dataclass(eq=False, slots=True)

@@ -214,14 +214,10 @@ def _hash(name: str, fields: dict[str, list[_Row]]) -> str:
 
 
 def _with_nested(registry: Registry, name: str) -> dict[str, list[_Row]]:
-    found: dict[str, list[_Row]] = {}
-    waiting = [registry.canonical(name)]
-    while waiting:
-        message = registry.message(waiting.pop())
-        if message.name not in found:
-            found[message.name] = [_field_row(field) for field in message.fields] or [_PLACEHOLDER]
-            waiting += [field.base for field in message.fields if not field.primitive]
-    return found
+    return {
+        message.name: [_field_row(field) for field in message.fields] or [_PLACEHOLDER]
+        for message in _with_dependencies(registry, name, "ros2")
+    }
 
 
 def _field_row(field: Field) -> _Row:

@@ -423,29 +423,30 @@ class Arm(ArmClock):
         return next((number for number, each in self._motions.items() if each is motion), NO_MOTION)
 
     def _received(self, message: Any) -> None:
-        if isinstance(message, ArmState):
-            self._silent_heartbeats = 0
-            if self._heard_since_s is None:
-                self._heard_since_s = time.monotonic()
-            self._take_state(message)
-        elif isinstance(message, ArmHealth):
-            self._on_health(message)
-        elif isinstance(message, Commanded):
-            if message.motion_id in self._streams:
-                self._streams[message.motion_id].commanded = message
-        elif isinstance(message, MotionEnded | CommandDone):
-            if isinstance(message, CommandDone) and message.number == self._emergency:
-                self._emergency = None
-            # Held back until the next state, which must show it: that the arm holds again, a fault, an enabled arm. A
-            # refused motion changes nothing, and is sent again at once where it came too late.
-            if isinstance(message, CommandDone):
-                shown = message.done
-            else:
-                shown = self.state.mode is not Mode.DISCONNECTED and message.outcome is not Outcome.REFUSED
-            if shown:
-                self._held.append(message)
-            else:
+        # Ends are held back until the next state, which must show them: a fault, or that the arm holds again.
+        match message:
+            case ArmState():
+                self._silent_heartbeats = 0
+                if self._heard_since_s is None:
+                    self._heard_since_s = time.monotonic()
+                self._take_state(message)
+            case ArmHealth():
+                self._on_health(message)
+            case Commanded():
+                if message.motion_id in self._streams:
+                    self._streams[message.motion_id].commanded = message
+            case CommandDone():
+                if message.number == self._emergency:
+                    self._emergency = None
+                if message.done:
+                    self._held.append(message)
+                else:
+                    self._answer(message)
+            # A refused motion changes nothing, and is sent again at once where it came too late.
+            case MotionEnded() if message.outcome is Outcome.REFUSED or self.state.mode is Mode.DISCONNECTED:
                 self._answer(message)
+            case MotionEnded():
+                self._held.append(message)
 
     def _answer(self, message: MotionEnded | CommandDone) -> None:
         if isinstance(message, MotionEnded):

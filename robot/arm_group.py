@@ -60,10 +60,10 @@ class ArmGroup(ArmClock):
         self.leaders = frozenset(leaders)
         self._arms = {name: arm for name, (arm, _) in arms.items()}
         self._arm_of = {joint: name for name, (_, joints) in arms.items() for joint in joints}
-        self._parts: dict[frozenset[str], ArmGroup] = {}
+        self._groups: dict[frozenset[str], ArmGroup] = {}
         self._joints = {name: joints for name, (_, joints) in arms.items()}
-        # Motions of the arms that take part in a motion of several, by its future.
-        self._together: dict[asyncio.Future[MotionEnded], Mapping[str, asyncio.Future[MotionEnded]]] = {}
+        # Parts of each motion of several arms, by arm.
+        self._parts_of: dict[asyncio.Future[MotionEnded], Mapping[str, asyncio.Future[MotionEnded]]] = {}
         self._last_read: dict[str, ArmState] = {}
         self._joined: tuple[tuple[ArmState, ...], ArmState] | None = None
         self._ids = itertools.count(1)
@@ -109,11 +109,11 @@ class ArmGroup(ArmClock):
             return self._arms[next(iter(names))]
         if not names or names == self._arms.keys():
             return self
-        if names not in self._parts:
-            self._parts[names] = ArmGroup(
+        if names not in self._groups:
+            self._groups[names] = ArmGroup(
                 {name: (arm, self._joints[name]) for name, arm in self._arms.items() if name in names}, self.leaders
             )
-        return self._parts[names]
+        return self._groups[names]
 
     # Start and end.
 
@@ -157,41 +157,43 @@ class ArmGroup(ArmClock):
         if len(begun) == 1:
             return next(iter(begun.values()))
         ended: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
-        self._together[ended] = begun
-        for name, motion in begun.items():
-            motion.add_done_callback(functools.partial(self._one_ended, ended, name))
+        self._parts_of[ended] = begun
+        for part in begun.values():
+            part.add_done_callback(functools.partial(self._part_ended, ended))
         return ended
 
     def _part_of(self, name: str, motion: asyncio.Future[MotionEnded]) -> asyncio.Future[MotionEnded]:
-        return self._together.get(motion, {}).get(name, motion)
+        return self._parts_of.get(motion, {}).get(name, motion)
 
-    def _one_ended(self, ended: asyncio.Future[MotionEnded], name: str, motion: asyncio.Future[MotionEnded]) -> None:
-        together = self._together.get(ended)
-        if together is None or ended.done():
+    def _part_ended(self, ended: asyncio.Future[MotionEnded], part: asyncio.Future[MotionEnded]) -> None:
+        parts = self._parts_of.get(ended)
+        if parts is None or ended.done():
             return
-        if motion.result().outcome not in _GOOD:
-            for other, one in together.items():
-                if other != name and not one.done():
-                    self._arms[other].stop(one)
-        if all(one.done() for one in together.values()):
-            del self._together[ended]
-            ends = {each: one.result() for each, one in together.items()}
+        if part.result().outcome not in _GOOD:
+            self._stop_parts(parts)
+        if all(part.done() for part in parts.values()):
+            del self._parts_of[ended]
+            ends = {name: part.result() for name, part in parts.items()}
             # The worst outcome, with each arm's sentence where they differ.
             outcome = min((end.outcome for end in ends.values()), key=_OUTCOMES_BY_WEIGHT.index)
-            said = {end.message for end in ends.values()}
-            message = (
-                said.pop() if len(said) == 1 else "; ".join(f"{name}: {end.message}" for name, end in ends.items())
-            )
-            ended.set_result(MotionEnded(0, outcome, message))
+            sentences = {end.message for end in ends.values()}
+            if len(sentences) > 1:
+                sentences = {"; ".join(f"{name}: {end.message}" for name, end in ends.items())}
+            ended.set_result(MotionEnded(0, outcome, sentences.pop()))
+
+    def _stop_parts(self, parts: Mapping[str, asyncio.Future[MotionEnded]]) -> None:
+        for name, part in parts.items():
+            if not part.done():
+                self._arms[name].stop(part)
 
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
         """Return the progress of a motion; of several arms, the progress of the last."""
-        together = self._together.get(motion)
-        if together is None:
+        parts = self._parts_of.get(motion)
+        if parts is None:
             return next((found for arm in self._arms.values() if (found := arm.progress(motion))), None)
-        moving = [self._arms[name].progress(one) for name, one in together.items() if not one.done()]
-        begun = [one for one in moving if one is not None]
-        return min(begun, key=lambda one: one.fraction) if begun and len(begun) == len(moving) else None
+        moving = [self._arms[name].progress(part) for name, part in parts.items() if not part.done()]
+        begun = [progress for progress in moving if progress is not None]
+        return min(begun, key=lambda progress: progress.fraction) if begun and len(begun) == len(moving) else None
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
         """Begin a stream of velocity setpoints; raise OrderRefused for joints of several arms."""
@@ -205,14 +207,12 @@ class ArmGroup(ArmClock):
 
     def stop(self, motion: asyncio.Future[MotionEnded] | None = None) -> None:
         """Brake one motion in progress along its path, by every arm that takes part in it; all of them for None."""
-        together = None if motion is None else self._together.get(motion)
-        if together is None:
-            for arm in self._arms.values():
-                arm.stop(motion)
+        parts = None if motion is None else self._parts_of.get(motion)
+        if parts is not None:
+            self._stop_parts(parts)
             return
-        for name, one in together.items():
-            if not one.done():
-                self._arms[name].stop(one)
+        for arm in self._arms.values():
+            arm.stop(motion)
 
     def brake(self) -> None:
         for arm in self._arms.values():
@@ -233,14 +233,15 @@ class ArmGroup(ArmClock):
         answers = {name: arm.order(order, calibration, epoch) for name, arm in self._arms.items() if name in asked}
         answered: asyncio.Future[CommandDone] = asyncio.get_running_loop().create_future()
 
-        def take(_one: asyncio.Future[CommandDone]) -> None:
-            if not answered.done() and all(one.done() for one in answers.values()):
-                done = {name: one.result() for name, one in answers.items()}
-                said = "; ".join(f"{name}: {one.message}" for name, one in done.items())
-                answered.set_result(CommandDone(0, done=all(one.done for one in done.values()), message=said))
+        def join(_answer: asyncio.Future[CommandDone]) -> None:
+            if not answered.done() and all(answer.done() for answer in answers.values()):
+                results = {name: answer.result() for name, answer in answers.items()}
+                message = "; ".join(f"{name}: {result.message}" for name, result in results.items())
+                done = all(result.done for result in results.values())
+                answered.set_result(CommandDone(0, done=done, message=message))
 
-        for one in answers.values():
-            one.add_done_callback(take)
+        for answer in answers.values():
+            answer.add_done_callback(join)
         return answered
 
     async def _each(self, act: Callable[[Arm], Coroutine[Any, Any, Any]]) -> Sequence[Any]:
@@ -265,15 +266,15 @@ def joined_state(
 ) -> ArmState:
     """Return the states of several arms as one state; its mode is the mode that most keeps an arm from moving.
 
-    The readings are of the states given for that, without positions while one has none; None for those that are read
-    at present. Leaders are moved by hand: while relaxed, they keep no other arm from moving.
+    Positions are from the readings, a state for each arm; while one has none there are none. Without readings they are
+    from the states that have some. Leaders are moved by hand: while relaxed, they keep no other arm from moving.
     """
     present = list(states.values())
     known = [state for state in present if state.position_rad is not None] if readings is None else readings
     # Joints of an arm that does not move are held, or stay, where they are read.
     any_holds = any(state.goal_rad is not None for state in known)
     moving = [state for state in present if state.motions]
-    leading = max(moving, key=lambda state: max(one.remaining_s for one in state.motions), default=present[0])
+    leading = max(moving, key=lambda state: max(each.remaining_s for each in state.motions), default=present[0])
     modes = [state.mode for name, state in states.items() if name not in leaders or state.mode is not Mode.RELAXED]
     # The latest by the arms' clocks: the machine's clock may be set, and a lost arm's clock stands still.
     connected = [state for state in present if state.mode is not Mode.DISCONNECTED]

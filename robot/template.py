@@ -1,4 +1,4 @@
-"""A child that loads once what several processes need, and is copied by ``fork``; its server's end is in processes.
+"""Fork server: a child that loads once what several processes need, and is copied; its server's end is in processes.
 
 A copy shares the loaded memory and is ready at once; a process of its own would load for a second. Copies end with
 their template, and it ends with the server.

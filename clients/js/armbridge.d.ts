@@ -917,6 +917,16 @@ export interface SaveRobotStateToWarehouseResponse {
   success: boolean;
 }
 
+/** rosapi_msgs/srv/TopicsForType_Request */
+export interface TopicsForTypeRequest {
+  type: string;
+}
+
+/** rosapi_msgs/srv/TopicsForType_Response */
+export interface TopicsForTypeResponse {
+  topics: string[];
+}
+
 /** std_srvs/srv/SetBool_Request */
 export interface SetBoolRequest {
   data: boolean;
@@ -1084,6 +1094,7 @@ export interface Services {
   "moveit_msgs/srv/GetPlanningScene": { request: GetPlanningSceneRequest; response: GetPlanningSceneResponse };
   "moveit_msgs/srv/GetPositionFK": { request: GetPositionFKRequest; response: GetPositionFKResponse };
   "moveit_msgs/srv/SaveRobotStateToWarehouse": { request: SaveRobotStateToWarehouseRequest; response: SaveRobotStateToWarehouseResponse };
+  "rosapi_msgs/srv/TopicsForType": { request: TopicsForTypeRequest; response: TopicsForTypeResponse };
   "std_srvs/srv/SetBool": { request: SetBoolRequest; response: SetBoolResponse };
   "std_srvs/srv/Trigger": { request: TriggerRequest; response: TriggerResponse };
 }

@@ -62,6 +62,7 @@ SERVICES = (
     "moveit_msgs/GetPlanningScene",
     "moveit_msgs/GetPositionFK",
     "moveit_msgs/SaveRobotStateToWarehouse",
+    "rosapi_msgs/TopicsForType",
     "std_srvs/SetBool",
     "std_srvs/Trigger",
 )
@@ -104,7 +105,7 @@ ONLY = {
         "max_acceleration_scaling_factor",
     ),
     "moveit_msgs/srv/GetCartesianPath_Response": ("solution", "fraction", "error_code"),
-    "moveit_msgs/srv/GetPositionFK_Request": ("header", "fk_link_names"),
+    "moveit_msgs/srv/GetPositionFK_Request": ("header", "fk_link_names", "robot_state"),
     "moveit_msgs/srv/SaveRobotStateToWarehouse_Request": ("name",),
     "moveit_msgs/msg/MotionPlanResponse": ("trajectory", "error_code"),
     "moveit_msgs/msg/RobotState": ("joint_state", "attached_collision_objects", "is_diff"),

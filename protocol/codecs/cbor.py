@@ -15,13 +15,10 @@ from typing import Any, TypeAlias
 import cbor2
 
 from protocol.codecs.pieces import Notation, encoded_pieces
-from protocol.registry import MAX_COMPILED_TYPES, Field, Registry
+from protocol.registry import MAX_COMPILED_TYPES, OCTETS, Field, Registry
 
 # Packs one value; None where it stays unchanged.
 Pack: TypeAlias = Callable[[Any], Any] | None
-
-# Arrays of these are base64 text in a complete message.
-OCTETS = ("uint8", "char")
 
 # Tags of little-endian typed arrays (RFC 8746 section 2.1, as rosbridge's cbor_conversion.py uses them) and the
 # element types of `array` with the same size. rosbridge sends byte as a signed number.

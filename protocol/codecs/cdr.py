@@ -20,9 +20,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
 from protocol import values
-from protocol.codecs.cbor import OCTETS
 from protocol.errors import MessageError
-from protocol.registry import MAX_COMPILED_TYPES, TEXTS, Field, Registry
+from protocol.registry import MAX_COMPILED_TYPES, OCTETS, TEXTS, Field, Registry
 
 # Representation CDR_LE, no options.
 HEADER = b"\x00\x01\x00\x00"

@@ -11,6 +11,7 @@ from robot.faults import ADVICE, ServoAlert, advise
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, POSITION_MODE, Feetech, differences
 from robot.hardware.feetech.registers import MODELS, Register
 from robot.hardware.interface import status_names
+from robot.hardware.servos.registers import RETURN_DELAY_UNIT_US
 from robot.messages import GuardLimits
 
 VOLTAGE_DROP_V = 0.4  # a drop along the chain of more than this, without load, is contact resistance
@@ -24,7 +25,6 @@ USUAL_ROUND_TRIP_S = 0.0035
 USUAL_LOST_SHARE = 0.01  # single packets get lost on a good arm; one in a hundred is a bad cable
 USUAL_LATENESS_S = 0.004  # a loop that starts later than this in one of a hundred cycles makes motions rough
 LOCKED = 1  # value of register LOCK
-RETURN_DELAY_US = 2  # unit of register RETURN_DELAY [us]
 
 
 class Verdict(Enum):
@@ -133,8 +133,8 @@ def _settings(servos: Sequence[ServoRegisters]) -> Iterator[Finding]:
     counting = [servo.servo_id for servo in servos if servo[Register.PHASE] & PHASE_MULTI_TURN]
     wrong = f"servos {_list(counting)} count several turns, so their position may overflow" if counting else ""
     yield _judged("phase bit 4", wrong, ADVICE[ServoAlert.SEVERAL_TURNS].remedy(), "positions stay within one turn")
-    delayed = {servo.servo_id: delay * RETURN_DELAY_US for servo in servos if (delay := servo[Register.RETURN_DELAY])}
-    says = ", ".join(f"servo {servo_id}: {delay_us} us" for servo_id, delay_us in delayed.items())
+    delayed = {servo.servo_id: servo[Register.RETURN_DELAY] for servo in servos if servo[Register.RETURN_DELAY]}
+    says = ", ".join(f"servo {servo_id}: {delay * RETURN_DELAY_UNIT_US} us" for servo_id, delay in delayed.items())
     remedy = "armbridge setup --registers sets register RETURN_DELAY to 0; lerobot does so when it connects."
     yield _judged("return delay", says, remedy, "0", Verdict.NOTE)
     unlocked = [servo.servo_id for servo in servos if servo[Register.LOCK] != LOCKED]

@@ -4,33 +4,34 @@ import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from robot.description.servo_table import ServoSpec
 from robot.errors import NoReply
+from robot.hardware.feetech import registers
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.registers import (
     CONTROL,
     SETTINGS_BLOCK,
-    TABLE,
-    TELEMETRY_ADDRESS,
-    TELEMETRY_BYTES,
+    TELEMETRY,
     VOLT_PER_UNIT,
     Register,
 )
 from robot.hardware.interface import Steps, run_to_end
-from robot.hardware.servos import bus as servo_bus
+from robot.hardware.servos.bus import read_registers
 from robot.trajectory import PERIOD_S
 
-# Register BAUD_RATE 0 to 7 (Feetech's memory table); the SDK has no name for 76800.
-BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 57_600, 38_400)
+# Baud rates at which a port can be opened, by register BAUD_RATE: the SDK has no name for 76800.
+BAUDRATE_BY_CODE = MappingProxyType({code: rate for code, rate in enumerate(registers.BAUDRATES) if rate != 76_800})
+BAUDRATES = tuple(BAUDRATE_BY_CODE.values())
 
 FACTORY_ID = 1  # id of a new servo
 
 
 # All documented registers, in blocks that the bus reads elsewhere too: a servo need not answer any longer read.
-BLOCKS = (SETTINGS_BLOCK, CONTROL, TABLE.block(Register.PRESENT_POSITION, Register.PRESENT_CURRENT))
+BLOCKS = (SETTINGS_BLOCK, CONTROL, TELEMETRY)
 
 
 @dataclass(frozen=True)
@@ -64,10 +65,11 @@ class ServoRegisters:
         return self[Register.MIN_VOLTAGE] * VOLT_PER_UNIT, self[Register.MAX_VOLTAGE] * VOLT_PER_UNIT
 
 
-def read_registers(bus: Bus, servo_id: int) -> Steps[dict[Register, int]]:
+def read_all(bus: Bus, servo_id: int) -> Steps[dict[Register, int]]:
+    """Read every register of a servo, as a sequence; raises NoReply."""
     values: dict[Register, int] = {}
     for block in BLOCKS:
-        values |= yield from servo_bus.read_registers(bus, servo_id, block)
+        values |= yield from read_registers(bus, servo_id, block)
     return values
 
 
@@ -100,7 +102,7 @@ def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
     servos, unsteady = [], []
     for servo_id in sorted(ids):
         try:
-            servos.append(ServoRegisters(servo_id, run_to_end(read_registers(bus, servo_id))))
+            servos.append(ServoRegisters(servo_id, run_to_end(read_all(bus, servo_id))))
         except NoReply:
             unsteady.append(servo_id)
     return ScanResult(tuple(servos), tuple(unsteady), garbled)
@@ -167,7 +169,7 @@ def measure_cycles(
         due_s = max(due_s + PERIOD_S, clock())
         wait(max(0.0, due_s - clock()))
         start_s = clock()
-        frames = bus.sync_read(servo_ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+        frames = bus.sync_read(servo_ids, TELEMETRY.address, TELEMETRY.length)
         lateness.append(start_s - due_s)
         replies += len(frames)
         if len(frames) == len(servo_ids):

@@ -15,19 +15,18 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Literal, TypeAlias
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSerializer, ValidationError
 
 from robot import files
-from robot.commissioning.scan import BAUDRATES, FACTORY_ID, ServoRegisters, read_registers
+from robot.commissioning.scan import BAUDRATE_BY_CODE, BAUDRATES, FACTORY_ID, ServoRegisters, read_all
 from robot.description.servo_table import MAX_SERVO_ID, ServoSpec
 from robot.errors import BackupError, NoReply, RobotError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import NO_LIMITS, PHASE_MULTI_TURN, POSITION_MODE
 from robot.hardware.feetech.profiles import ServoProfile
-from robot.hardware.feetech.registers import EPROM, TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register
+from robot.hardware.feetech.registers import EPROM, TELEMETRY, Register
 from robot.hardware.interface import Result, Steps, run_to_end
 from robot.hardware.servos.bus import ATTEMPTS, STEP_ATTEMPTS, read, write_verified
 
@@ -136,9 +135,6 @@ def match_saved(saved: Sequence[SavedServo], ids: Collection[int]) -> dict[int, 
 BAUDRATE = BAUDRATES[0]
 BAUDRATE_CODE = 0
 
-# Baud rates that the port supports, by register BAUD_RATE.
-BAUDRATE_BY_CODE: Mapping[int, int] = MappingProxyType(dict(zip((0, 1, 2, 3, 4, 6, 7), BAUDRATES, strict=True)))
-
 # Time for the last bytes to leave the adapter, and for the servo to store its new rate, before the port is reopened.
 REOPENING_S = 0.05
 
@@ -237,7 +233,7 @@ def look(line: ServoLine, baudrate: int, ids: Collection[int]) -> list[ServoRegi
             f"replies at {baudrate} baud are garbled: several servos with the same id answer at once, or a plug has "
             "bad contact; unplug all servos but one"
         )
-    return [ServoRegisters(each, line.run(read_registers(bus, each)), baudrate) for each in sorted(heard)]
+    return [ServoRegisters(each, line.run(read_all(bus, each)), baudrate) for each in sorted(heard)]
 
 
 def supply_complaint(servo: ServoRegisters) -> str:
@@ -309,7 +305,7 @@ def write(line: ServoLine, servo: ServoRegisters, changes: Sequence[Change]) -> 
         with contextlib.suppress(RobotError):
             writer.lock()
         raise
-    registers = line.run(read_registers(line.at(writer.baudrate), writer.servo_id))
+    registers = line.run(read_all(line.at(writer.baudrate), writer.servo_id))
     if kept := [change for change in changes if registers[change.register] != change.wanted]:
         names = ", ".join(f"{change.register.name} {registers[change.register]}" for change in kept)
         raise StartupError(f"servo {writer.servo_id} does not keep what was written to it: it has {names}")
@@ -389,7 +385,7 @@ def _candidates(
 def _answers(bus: Bus, servo_id: int) -> bool:
     for _ in range(ATTEMPTS):
         before = bus.counters.discarded_bytes
-        if bus.sync_read((servo_id,), TELEMETRY_ADDRESS, TELEMETRY_BYTES) or bus.counters.discarded_bytes > before:
+        if bus.sync_read((servo_id,), TELEMETRY.address, TELEMETRY.length) or bus.counters.discarded_bytes > before:
             return True
     return False
 

@@ -7,7 +7,7 @@ import socket
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot.channel import Channel, channel_of_child, leave_signals_to_server, send_log
 from robot.control.pacing import MAX_TICK_S, LoopClock, Pacer, Scheduling, SimulationClock, enter_realtime
@@ -18,9 +18,6 @@ from robot.hardware.config import EmulatedConfig, IdealConfig, SerialConfig
 from robot.hardware.interface import HardwareInterface
 from robot.messages import ArmConfig, Command, Execute, Order, Stop, checked
 from robot.trajectory import PERIOD_S
-
-if TYPE_CHECKING:
-    from robot.hardware.servos.family import ServoFamily
 
 
 def hardware_opener(config: ArmConfig, clock: LoopClock) -> Callable[[], HardwareInterface]:
@@ -34,9 +31,10 @@ def hardware_opener(config: ArmConfig, clock: LoopClock) -> Callable[[], Hardwar
     limits = config.guard_limits
     match config.hardware:
         case SerialConfig():
-            from robot.hardware.servos.hardware import open_servos
+            from robot.hardware.servos.hardware import family_of, open_servos
 
-            return partial(open_servos, _family(config.hardware), config.hardware, bounds, limits, clock)
+            family = family_of(config.hardware.kind, config.hardware.profile)
+            return partial(open_servos, family, config.hardware, bounds, limits, clock)
         case EmulatedConfig(kind="feetech"):
             from robot.emulator.feetech import emulated_feetech_arm
 
@@ -55,16 +53,6 @@ def hardware_opener(config: ArmConfig, clock: LoopClock) -> Callable[[], Hardwar
 
             ideal = IdealArm(config.hardware, joint_names, bounds, clock)
             return lambda: ideal
-
-
-def _family(config: SerialConfig) -> ServoFamily:
-    if config.kind == "dynamixel":
-        from robot.hardware.dynamixel.family import Dynamixel
-
-        return Dynamixel()
-    from robot.hardware.feetech.family import Feetech
-
-    return Feetech(config.profile)
 
 
 # A step of a sequence is a transaction of 1 to 2 ms; when less time is left until the tick, only the first is taken.

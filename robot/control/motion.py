@@ -204,8 +204,9 @@ class Motion:
         self._peak_share = float(shares.max())
         self.limit_speed(speed_limit)
         self._path_time_s = 0.0
-        self._rate = self.ceiling = self._fastest  # rate now, and the fastest allowed, in (0, 1]
-        self.pace = 1.0  # wanted rate, -1 to 1: at 0 the arm waits on its path, below 0 it goes back to its start
+        # Rate now, and the most allowed, in (0, 1].
+        self._rate = self._most_rate = self._fastest
+        self._wanted_rate = 1.0  # -1 to 1: at 0 the arm waits on its path, below 0 it goes back to its start
         self._stopping = False
         self._end_reached_s: float | None = None
         self._settled_ticks = 0
@@ -234,7 +235,7 @@ class Motion:
     @property
     def remaining_s(self) -> float:
         """Time to the end at the wanted rate; while the arm waits or goes back, at the fastest one [s]."""
-        rate = min(self.pace, self.ceiling) if self.pace > 0.0 else self.ceiling
+        rate = min(self._wanted_rate, self._most_rate) if self._wanted_rate > 0.0 else self._most_rate
         return max(self.trajectory.duration_s - self._path_time_s, 0.0) / rate
 
     def can_splice(self, other: Trajectory, from_s: float) -> bool:
@@ -256,8 +257,9 @@ class Motion:
         """Begin to brake along the path."""
         self._stopping = True
 
-    def advance(self, elapsed_s: float) -> Vector:
-        """Advance by ``elapsed_s`` [s] and return the goal, shape (joints,) [rad]."""
+    def step(self, elapsed_s: float, rate: float = 1.0, fastest: float = 1.0) -> Vector:
+        """Advance at a wanted rate, below 0 to go back, bounded by the fastest; return its joints' goals [rad]."""
+        self._wanted_rate, self._most_rate = rate, min(fastest, self._fastest)
         # At the end the joints settle: there is no way back from there.
         if not self.completed:
             self._change_rate(elapsed_s)
@@ -266,7 +268,7 @@ class Motion:
         return self.trajectory.sample(self._path_time_s)[0]
 
     def _change_rate(self, elapsed_s: float) -> None:
-        wanted = 0.0 if self._stopping else max(min(self.pace, self.ceiling), -self.ceiling)
+        wanted = 0.0 if self._stopping else max(min(self._wanted_rate, self._most_rate), -self._most_rate)
         if self._rate == wanted and wanted >= 0.0:
             return
         if wanted < 0.0:
@@ -294,17 +296,12 @@ class Motion:
     @property
     def rate(self) -> float:
         """Share of the planned speed at which it may be played now, 0 while it is paused."""
-        return min(abs(self.pace), self.ceiling)
+        return min(abs(self._wanted_rate), self._most_rate)
 
     def limit_speed(self, share: float) -> None:
         """Play it slower, so that no joint exceeds a share of its velocity limit by more than VELOCITY_TOLERANCE."""
         planned = self._peak_share <= share * VELOCITY_TOLERANCE
         self._fastest = 1.0 if planned else share / self._peak_share
-
-    def step(self, elapsed_s: float, rate: float, fastest: float) -> Vector:
-        """Advance at a wanted rate, below 0 to go back, bounded by the fastest; return its joints' goals [rad]."""
-        self.pace, self.ceiling = rate, min(fastest, self._fastest)
-        return self.advance(elapsed_s)
 
     def end(self, goal_rad: Vector, position_rad: Vector, now_s: float) -> MotionEnded | None:
         """Return the regular end, None while in progress; goals and measured positions are of all joints [rad]."""

@@ -186,34 +186,36 @@ class Supervisor:
 
     def handle(self, message: object) -> None:
         self._heard_s = self._clock()
-        if isinstance(message, Stop) and message.epoch > self._last_stop:
-            self._take_stop(message.epoch)
         controller = self._controller
-        if isinstance(message, Execute | Stream):
-            self._move(message)
-        elif isinstance(message, Setpoint) and controller is not None:
-            controller.steer(message)
-        elif isinstance(message, Stop) and controller is not None:
-            controller.stop(message.motion_id)
-        elif isinstance(message, ChangePace) and controller is not None:
-            controller.change_pace(message)
-            # Hardware that is lost and comes back keeps the limit.
-            self._config = replace(self._config, speed_limit=controller.pace.speed_limit)
-        elif isinstance(message, Command):
-            self._command(message)
-        elif isinstance(message, Heartbeat):
-            self._observed = message.observed
-        elif isinstance(message, Shutdown):
-            self._end, self._end_epoch = self._config.on_exit, message.epoch
-            if message.hurry and self._end is EndState.PARK and controller is not None:
-                self._parking.give_up(controller, "the server must not wait")
-        elif isinstance(message, KeepParking):
-            self._parking.keep(message.plan)
-        elif isinstance(message, SetBodies):
-            self._bodies = message
-            self._set_bodies()
-        elif isinstance(message, PauseSimulation):
-            self._clock.pause(paused=message.paused, ticks=message.ticks)
+        match message:
+            case Execute() | Stream():
+                self._move(message)
+            case Setpoint() if controller is not None:
+                controller.steer(message)
+            case Stop():
+                if message.epoch > self._last_stop:
+                    self._take_stop(message.epoch)
+                if controller is not None:
+                    controller.stop(message.motion_id)
+            case ChangePace() if controller is not None:
+                controller.change_pace(message)
+                # Hardware that is lost and comes back keeps the limit.
+                self._config = replace(self._config, speed_limit=controller.pace.speed_limit)
+            case Command():
+                self._command(message)
+            case Heartbeat():
+                self._observed = message.observed
+            case Shutdown():
+                self._end, self._end_epoch = self._config.on_exit, message.epoch
+                if message.hurry and self._end is EndState.PARK and controller is not None:
+                    self._parking.give_up(controller, "the server must not wait")
+            case KeepParking():
+                self._parking.keep(message.plan)
+            case SetBodies():
+                self._bodies = message
+                self._set_bodies()
+            case PauseSimulation():
+                self._clock.pause(paused=message.paused, ticks=message.ticks)
 
     def _take_stop(self, epoch: int) -> None:
         """Take a stop of all motion: no earlier request moves the arm, or switches its torque on."""
@@ -488,21 +490,26 @@ class Supervisor:
             self._relax()
 
     def _check_server(self, now_s: float, *, server_gone: bool) -> None:
-        """Stop the arm, and bring it to its end state, when the server is lost or ending."""
+        """Watch the server; stop the arm, and bring it to its end state, when the server is lost or ending."""
         if server_gone:
             self.lose_server()
+        silent_s = (now_s - self._heard_s) / self._rate
         lost = now_s - self._heard_s > self._watchdog_s
-        if lost and not self._server_lost and self._end is None:
-            consequence = self._consequence(self._end_when_lost)
-            line = f"nothing heard of the server for {(now_s - self._heard_s) / self._rate:.1f} s: {consequence}"
-            self._log_limiter.write(log, logging.WARNING, line, "silence", now_s)
-        self._server_lost = lost
+        end = self._end
         if self._end is None:
-            self._halts_after((now_s - self._heard_s) / self._rate, "nothing was heard of the server for {:.1f} s")
-        end = self._end_when_lost if lost and self._end is None else self._end
-        controller = self._controller
-        if controller is None:
-            return
+            if lost:
+                end = self._end_when_lost
+                if not self._server_lost:
+                    line = f"nothing heard of the server for {silent_s:.1f} s: {self._consequence(end)}"
+                    self._log_limiter.write(log, logging.WARNING, line, "silence", now_s)
+            self._halts_after(silent_s, "nothing was heard of the server for {:.1f} s")
+        self._server_lost = lost
+        if self._controller is not None:
+            gone = self._end is not None or silent_s > SILENCE_BEFORE_PARKING_S
+            self._bring_to_end(self._controller, end, now_s, gone=gone)
+
+    def _bring_to_end(self, controller: ArmController, end: EndState | None, now_s: float, *, gone: bool) -> None:
+        """Take the next step to an end state; None if the server is there, so that parking is given up."""
         if self._parking.stage is not Stage.NOT_BEGUN and end is not EndState.PARK:
             self._parking.reset(controller)
         if end is None:
@@ -510,7 +517,6 @@ class Supervisor:
         if end is EndState.PARK:
             if self._end is not None and self._end_epoch < self._last_stop:
                 self._parking.give_up(controller, STOPPED_SINCE)
-            gone = self._end is not None or now_s - self._heard_s > SILENCE_BEFORE_PARKING_S * self._rate
             self._parking.advance(controller, now_s, may_move=gone)
         else:
             controller.stop()

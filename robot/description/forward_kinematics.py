@@ -1,13 +1,12 @@
 """Forward kinematics of a URDF without a kinematics library, for frames and markers."""
 
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from robot.description.model import RobotModel
-from robot.description.urdf import Mimic, joint_motion, origin_transform, unit_axis
+from robot.description.urdf import Mimic, joint_motion, origin_transform, parsed, unit_axis
 from robot.trajectory import Vector
 
 
@@ -16,8 +15,7 @@ class ForwardPlacements:
 
     def __init__(self, robot: RobotModel) -> None:
         self._root = robot.root_link
-        tree = ET.fromstring(robot.urdf)  # noqa: S314 - the user's own file, already parsed by robot.description.model
-        elements = {joint.get("name"): joint for joint in tree.findall("joint")}
+        elements = {joint.get("name"): joint for joint in parsed(robot.urdf).iterfind("joint")}
         by_child = {joint.child: joint for joint in robot.joints.values()}
         # Links come parents before children.
         self._steps = [
@@ -39,7 +37,7 @@ class ForwardPlacements:
         placed = {self._root: np.eye(4)}
         for step in self._steps:
             place = placed[step.parent] @ step.transform_joint_to_parent
-            placed[step.child] = place if step.joint is None else place @ _moved(step, positions_rad)
+            placed[step.child] = place if step.leader is None else place @ _moved(step, positions_rad)
         return placed
 
     def axis(self, link: str) -> Vector:
@@ -54,18 +52,18 @@ class ForwardPlacements:
 
 @dataclass(frozen=True)
 class _Step:
-    """Joint with its fixed transform and axis, and the joint whose position it takes, mostly itself; None if fixed."""
+    """Joint with its fixed transform and axis."""
 
     parent: str
     child: str
-    joint: Mimic | None
+    leader: Mimic | None  # joint whose position it takes, mostly itself; None for a fixed joint
     slides: bool
     axis: Vector
     transform_joint_to_parent: Vector
 
 
 def _moved(step: _Step, positions_rad: Mapping[str, float]) -> Vector:
-    if step.joint is None:
+    if step.leader is None:
         return np.eye(4)
-    position = step.joint.multiplier * positions_rad[step.joint.joint] + step.joint.offset
+    position = step.leader.multiplier * positions_rad[step.leader.joint] + step.leader.offset
     return joint_motion(step.axis, position, slides=step.slides)

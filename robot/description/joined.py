@@ -15,7 +15,7 @@ from typing import Any
 from robot.description import model
 from robot.description.meshes import find_mesh
 from robot.description.model import GripperModel, Joint, JointLimits, RobotModel
-from robot.description.urdf import origin_transform
+from robot.description.urdf import origin_transform, parsed
 from robot.errors import DescriptionError
 
 COMMON_LINK = "world"  # the link on which all arms stand, which is the planning frame
@@ -93,8 +93,8 @@ def joined(name: str, arms: Mapping[str, PlacedArm]) -> RobotModel:
         ET.SubElement(mount, "origin", xyz=_numbers(placed.base_xyz_m), rpy=_numbers(placed.base_rpy_rad))
         ET.SubElement(mount, "parent", link=COMMON_LINK)
         ET.SubElement(mount, "child", link=placed.robot.root_link)
-        urdf.extend(_parsed(placed.robot.urdf))
-        srdf.extend(_parsed(placed.robot.srdf))
+        urdf.extend(parsed(placed.robot.urdf))
+        srdf.extend(parsed(placed.robot.srdf))
     if len(arms) > 1:
         srdf.extend(_group_of_all([placed.robot for placed in arms.values()]))
     srdf.extend(_never_near(arms))
@@ -126,7 +126,7 @@ def _shapes(robots: Sequence[RobotModel], prefix: str = "") -> dict[str, Any]:
 
 
 def _renamed_urdf(robot: RobotModel, name: str, prefix: str) -> ET.Element:
-    root = _parsed(robot.urdf)
+    root = parsed(robot.urdf)
     root.set("name", name)
     for tag in _OF_OTHERS:
         for element in root.findall(tag):
@@ -151,7 +151,7 @@ def _mesh_name(robot: RobotModel, filename: str) -> str:
 
 
 def _renamed_srdf(robot: RobotModel, name: str, prefix: str) -> ET.Element:
-    root = _parsed(robot.srdf)
+    root = parsed(robot.srdf)
     root.set("name", name)
     virtual = {element.get("name") for element in root.iterfind("virtual_joint")}
     for element in root.findall("virtual_joint"):
@@ -200,14 +200,14 @@ def _never_near(arms: Mapping[str, PlacedArm]) -> Iterator[ET.Element]:
 
 def reach_m(robot: RobotModel) -> float:
     """Return a distance from the root link beyond which no part of an arm comes: its longest chain, or infinite [m]."""
-    extents_m = {link.get("name", ""): _extent_m(link, robot) for link in _parsed(robot.urdf).iterfind("link")}
+    extents_m = {link.get("name", ""): _extent_m(link, robot) for link in parsed(robot.urdf).iterfind("link")}
     return max(length_m + extents_m[link] for link, length_m in chain_lengths_m(robot).items())
 
 
 def chain_lengths_m(robot: RobotModel) -> dict[str, float]:
     """Return for each link the length of the stretched chain from the root link to its frame [m]."""
     lengths_m = {robot.root_link: 0.0}
-    elements = {joint.get("name"): joint for joint in _parsed(robot.urdf).iterfind("joint")}
+    elements = {joint.get("name"): joint for joint in parsed(robot.urdf).iterfind("joint")}
     by_child = {joint.child: joint for joint in robot.joints.values()}
     # Root first, each with what it carries.
     for link in robot.links[1:]:
@@ -246,10 +246,6 @@ def _limits(joint: Joint) -> JointLimits:
 
 def _numbers(values: Sequence[float]) -> str:
     return " ".join(map(repr, values))
-
-
-def _parsed(text: str) -> ET.Element:
-    return ET.fromstring(text)  # noqa: S314 - the user's own file, already parsed as a description
 
 
 def _text(root: ET.Element) -> str:

@@ -18,6 +18,7 @@ from urllib.parse import unquote
 import numpy as np
 from numpy.typing import NDArray
 
+from robot.description.urdf import parsed
 from robot.errors import DescriptionError
 
 log = logging.getLogger("armbridge.description")
@@ -81,7 +82,7 @@ def surface_file(path: Path) -> Iterator[Mapping[str, NDArray[Any]]]:
 def check_meshes(urdf: str, source: str, directory: Path, packages: Sequence[Path]) -> None:
     """Check that the meshes of collisions are there; missing visual meshes are logged."""
     unseen = []
-    for link in ET.fromstring(urdf).iterfind("link"):  # noqa: S314 - already parsed by robot.description.urdf
+    for link in parsed(urdf).iterfind("link"):
         for use in ("collision", "visual"):
             for mesh in _meshes(link.iterfind(use)):
                 try:
@@ -96,7 +97,7 @@ def check_meshes(urdf: str, source: str, directory: Path, packages: Sequence[Pat
 
 def with_mesh_paths(urdf: str, directory: Path | None, packages: Sequence[Path]) -> str:
     """Return a URDF whose collision meshes have their paths for names."""
-    root = ET.fromstring(urdf)  # noqa: S314 - already parsed by robot.description.urdf
+    root = parsed(urdf)
     for mesh in _meshes(root.iterfind("link/collision")):
         mesh.set("filename", str(find_mesh(mesh.get("filename", ""), directory, packages)))
     return ET.tostring(root, encoding="unicode")

@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 
 MAX_SERVO_ID = 253  # 254 is the broadcast id of both kinds of bus, and Dynamixel reserves 253 too
 
-HardwareKind: TypeAlias = Literal["feetech", "dynamixel", "ideal"]
+ServoKind: TypeAlias = Literal["feetech", "dynamixel"]  # families of servos
+HardwareKind: TypeAlias = Literal[ServoKind, "ideal"]
 
 # Greatest register HOMING_OFFSET by the servos' kind: an STS3215's has 11 bits and a sign; a Dynamixel's counts up
 # to 255 turns (e-manual, Homing Offset (20)), and lerobot writes whole turns into it where the servo had counted some.

@@ -55,6 +55,11 @@ def root_of(text: str, source: str) -> ET.Element:
     return root
 
 
+def parsed(text: str) -> ET.Element:
+    """Parse a URDF or SRDF that was read as a description before."""
+    return ET.fromstring(text)  # noqa: S314 - the user's own file
+
+
 def attribute(element: ET.Element, name: str, source: str) -> str:
     value = element.get(name)
     if value is None:
@@ -386,7 +391,7 @@ def shift_origin(element: ET.Element, position: float) -> None:
 
 def with_fixed_joints(urdf: str, positions: Mapping[str, float]) -> str:
     """Return a URDF in which some joints are fixed at their positions [rad, or m of a prismatic joint]."""
-    root = ET.fromstring(urdf)  # noqa: S314 - the user's own file, already parsed as a description
+    root = parsed(urdf)
     for element in root.findall("joint"):
         name = element.get("name", "")
         if name in positions:

@@ -17,6 +17,7 @@ from robot.calibration import Calibration
 from robot.description.forward_kinematics import ForwardPlacements
 from robot.description.limits import JointBounds
 from robot.description.model import RobotModel
+from robot.description.urdf import parsed
 from robot.emulator.servo import EmulatedServo
 from robot.emulator.servo_bus import BAUDRATE, Codec, EmulatedBus, Faults, Reply, S, WriteLog
 from robot.errors import PortError, PortLost
@@ -220,10 +221,9 @@ class LinkWeights:
 
     def __init__(self, robot: RobotModel) -> None:
         self._forward = ForwardPlacements(robot)
-        elements = ET.fromstring(robot.urdf)  # noqa: S314 - the user's own file, already parsed as a description
         self._masses = {
             name: _mass(element)
-            for element in elements.iterfind("link")
+            for element in parsed(robot.urdf).iterfind("link")
             if (name := element.get("name", "")) and element.find("inertial/mass") is not None
         }
         by_child = {joint.child: joint for joint in robot.joints.values()}

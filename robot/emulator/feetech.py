@@ -19,6 +19,7 @@ from robot.hardware.feetech.bus import HEADER, LENGTH_OVERHEAD, checksum
 from robot.hardware.feetech.family import PHASE_MULTI_TURN, Feetech
 from robot.hardware.feetech.registers import (
     AMPERE_PER_UNIT,
+    BAUDRATES,
     MODELS,
     PROTECTION_TIME_UNIT_S,
     TABLE,
@@ -97,7 +98,7 @@ class FeetechServo(EmulatedServo[Register]):
     return_delay = Register.RETURN_DELAY
     torque_limit = Register.TORQUE_LIMIT
     full_torque = 1000
-    baudrates = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
+    baudrates = BAUDRATES
     duty_permille_per_nm = DUTY_PERMILLE_PER_NM
     stall_torque_nm = STALL_TORQUE_NM
     backlash_ticks = 10.0  # 0.9 deg; 0.87 to 1.0 deg were measured (SO-ARM100, issue 134)

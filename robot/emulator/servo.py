@@ -7,11 +7,9 @@ from typing import Generic
 
 from robot.emulator.plant import Drive, Motor, Plant
 from robot.hardware.interface import StatusFlag
-from robot.hardware.servos.registers import RegisterT, RegisterTable
+from robot.hardware.servos.registers import RETURN_DELAY_UNIT_US, RegisterT, RegisterTable
 
 FULL_DUTY_PERMILLE = 1000.0
-
-RETURN_DELAY_UNIT_S = 2e-6  # unit of the registers of return delay in both families' memory tables
 
 
 class Memory(Generic[RegisterT]):
@@ -284,7 +282,7 @@ class EmulatedServo(ABC, Generic[RegisterT]):
     def _follow_registers(self) -> None:
         self.servo_id, baud_rate = self.named("ID"), self.named("BAUD_RATE")
         self.baudrate = self.baudrates[baud_rate] if baud_rate < len(self.baudrates) else 0
-        self.return_delay_s = self.value(self.return_delay) * RETURN_DELAY_UNIT_S
+        self.return_delay_s = self.value(self.return_delay) * RETURN_DELAY_UNIT_US * 1e-6
         self._thresholds = self._thresholds_from_registers()
         self._follow_drive()
 

@@ -1,1 +1,1 @@
-"""Hardware interface of an arm: Feetech's servos on a serial port or emulated, and the ideal arm."""
+"""Hardware interface of an arm, and its back ends: servos of a family on a serial port, and the ideal arm."""

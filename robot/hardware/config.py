@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, Literal, NamedTuple, Self, TypeAlias
+from typing import ClassVar, NamedTuple, Self, TypeAlias
 
 from robot.calibration import Calibration
 from robot.description.model import RobotModel
+from robot.description.servo_table import ServoKind
 from robot.hardware.feetech.profiles import ServoProfile
-
-ServoKind: TypeAlias = Literal["feetech", "dynamixel"]
 
 
 class ClockReading(NamedTuple):

@@ -11,6 +11,7 @@ import mujoco
 from robot.description.camera import Camera
 from robot.description.meshes import with_mesh_paths
 from robot.description.model import RobotModel
+from robot.description.urdf import parsed
 from robot.errors import DescriptionError
 
 TIMESTEP_S = 0.002
@@ -46,7 +47,7 @@ log = logging.getLogger("armbridge.physics")
 
 def arm_model(robot: RobotModel) -> mujoco.MjSpec:
     """Return the model of an arm on a floor, one body a link; raises DescriptionError for what cannot be read."""
-    root = ET.fromstring(with_mesh_paths(robot.urdf, robot.mesh_directory, robot.package_directories))  # noqa: S314
+    root = parsed(with_mesh_paths(robot.urdf, robot.mesh_directory, robot.package_directories))
     for mesh in root.iterfind("link/collision/geometry/mesh"):
         if (path := Path(mesh.get("filename", ""))).suffix.lower() not in MESH_FORMATS:
             raise DescriptionError(f"mesh {path}", f"cannot be loaded by physics, only {', '.join(MESH_FORMATS)}")

@@ -15,7 +15,7 @@ from robot.description.limits import within_calibration
 from robot.description.model import RobotModel
 from robot.description.servo_table import HardwareTable
 from robot.errors import RobotError
-from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig, ServoKind
+from robot.hardware.config import EmulatedConfig, HardwareConfig, IdealConfig, SerialConfig
 from robot.hardware.feetech.profiles import ServoProfile, profile_of
 from robot.messages import ArmConfig, GuardLimits
 from server.config import ArmSettings, EmulatorSettings, Settings
@@ -108,18 +108,18 @@ def _hardware(settings: Settings, description: Description) -> HardwareConfig:
     emulator, physics, rate = settings.emulator, settings.simulation.kind == "physics", settings.simulation.rate
     if physics and settings.arm.serial is None and importlib.util.find_spec("mujoco") is None:
         raise ConfigurationError("simulation.kind: physics needs MuJoCo: pip install 'armbridge[physics]'")
-    if description.calibration is None:
+    kind = description.hardware.kind
+    if description.calibration is None or kind == "ideal":
         no_bus = "the ideal arm (by its robot.toml, or by arm.urdf alone) has no servo bus that"
         _refuse_options(emulator, EmulatorSettings.model_fields, no_bus)
         driven = settings.arm.start_enabled
         return IdealConfig(settings.arm.ideal_lag_s, driven=driven, physics=physics, rate=rate)
-    kind: ServoKind = "dynamixel" if description.hardware.kind == "dynamixel" else "feetech"
-    profile = None if kind == "dynamixel" else _profile(description)
+    profile = _profile(description) if kind == "feetech" else None
     if settings.arm.serial is not None:
         baud = description.hardware.baud
         return SerialConfig(description.calibration, settings.arm.serial, kind, baud, profile=profile)
-    if kind == "dynamixel":
-        nothing = "emulated Dynamixel servos have nothing that"
+    if kind != "feetech":
+        nothing = f"emulated {kind.capitalize()} servos have nothing that"
         _refuse_options(emulator, ("write_log", "control", "population"), nothing)
     if emulator.write_log is not None:
         _check_place("emulator.write_log", emulator.write_log)

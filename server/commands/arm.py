@@ -6,7 +6,7 @@ import json
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import Any, cast, get_args
 
 from robot.calibration import Calibration
 from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
@@ -18,16 +18,16 @@ from robot.commissioning.scan import (
     measure_cycles,
     scan,
 )
-from robot.description.servo_table import ServoSpec
+from robot.description.servo_table import ServoKind, ServoSpec
 from robot.errors import NoReply
 from robot.hardware.boards import resolve_port
-from robot.hardware.dynamixel.family import Dynamixel
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import Feetech
 from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import run_to_end, status_names
 from robot.hardware.servos.bus import ServoBus, read_registers
 from robot.hardware.servos.family import Limit, ServoFamily, full_torque
+from robot.hardware.servos.hardware import family_of
 from robot.hardware.servos.torque import LOWER_S, relax, write_limits
 from robot.messages import GuardLimits
 from server.commands.options import (
@@ -46,8 +46,6 @@ from server.commands.options import (
     websocket_url,
 )
 from server.commands.terminal import ExitCode, Terminal, table
-
-FAMILIES: Mapping[str, type[ServoFamily]] = {"feetech": Feetech, "dynamixel": Dynamixel}
 
 HEADINGS = (
     "id", "joint", "model", "firmware", "V", "degC", "mode", "position", "limits", "offset", "torque", "complaints",
@@ -186,8 +184,8 @@ def add_relax_parser(subparsers: Subparsers) -> None:
 
 
 def _relax(options: argparse.Namespace, terminal: Terminal) -> ExitCode:
-    hardware = read_hardware(options, tuple(FAMILIES))
-    family = FAMILIES[hardware.kind]()
+    hardware = read_hardware(options, get_args(ServoKind))
+    family = family_of(cast(ServoKind, hardware.kind))
     with contextlib.closing(family.bus.open(resolve_port(options.serial), hardware.baud)) as bus:
         return relax_arm(bus, hardware.servos, terminal, family)
 

@@ -16,7 +16,7 @@ from robot.description.servo_table import ServoSpec
 from robot.errors import CalibrationError, StartupError
 from robot.hardware.feetech.bus import Bus
 from robot.hardware.feetech.family import differences, write_to_servos
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
+from robot.hardware.feetech.registers import TELEMETRY, Register, parse_telemetry
 from robot.hardware.interface import run_to_end
 from robot.hardware.servos.family import Difference
 from server.commands.arm import relax_arm
@@ -155,7 +155,7 @@ class _Conversation:
         self.terminal.ask(f"{step.instruction}{prompt(step.answers)}")
         while (line := self.terminal.line_typed()) is None:
             if step.name != HOLD:
-                frames = self.bus.sync_read(self.ids, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+                frames = self.bus.sync_read(self.ids, TELEMETRY.address, TELEMETRY.length)
                 self.session.take(
                     {servo: parse_telemetry(frame.data).position_ticks for servo, frame in frames.items()}
                 )

@@ -11,6 +11,7 @@ from typing import Generic, TypeVar
 
 from armbridge_client import Arm, ConnectionLost, DeadlineExceeded, connect
 from armbridge_client.messages import DiagnosticStatus, JointState, KinematicSolverInfo
+from armbridge_client.motion import seconds
 from armbridge_client.targets import stops_of
 from armbridge_client.wire import Message
 from lerobot_robot_armbridge.config_armbridge import ServerOptions
@@ -152,8 +153,7 @@ class ArmLink:
             TimeoutError: they came longer ago than 1 s.
         """
         message = self._joint_states.newest()
-        stamp = message.header.stamp
-        return stamp.sec + 1e-9 * stamp.nanosec, dict(zip(message.name, message.position, strict=True))
+        return seconds(message.header.stamp), dict(zip(message.name, message.position, strict=True))
 
     def positions(self) -> dict[str, float]:
         """Return the newest position of each joint, in lerobot's units by lerobot's names; raises as :meth:`state`."""

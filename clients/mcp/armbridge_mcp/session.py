@@ -4,24 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass
 
 from armbridge_client import AsyncArm, AsyncPlan, GoalRefused, Target, after_stop, connect_async
 from armbridge_client.messages import (
     CompressedImage,
-    GetPositionFKResponse,
+    GetPositionFKRequest,
     GoalTarget,
     JointState,
     Point,
     PoseStamped,
     RobotState,
-    String,
+    TopicsForTypeRequest,
 )
-from armbridge_client.wire import Message, Service
 from armbridge_mcp.limits import LimitError, Region, samples
 
 # A person decides within this time, as in the server's confirm mode [s].
@@ -32,31 +29,6 @@ PROPOSAL_S = 300.0
 MAX_POSES = 100
 MAX_IMAGE_BYTES = 2_000_000
 IMAGE_TIMEOUT_S = 5.0
-
-
-@dataclass(repr=False)
-class TopicsForTypeResponse(Message):
-    """rosapi_msgs/srv/TopicsForType_Response."""
-
-    TYPE: ClassVar[str] = "rosapi_msgs/srv/TopicsForType_Response"
-    topics: list[str] = field(default_factory=list)
-
-
-@dataclass(repr=False)
-class TopicsForTypeRequest(Service[TopicsForTypeResponse]):
-    """rosapi_msgs/srv/TopicsForType_Request."""
-
-    TYPE: ClassVar[str] = "rosapi_msgs/srv/TopicsForType"
-    type: str = ""
-
-
-@dataclass(repr=False)
-class PositionFKRequest(Service[GetPositionFKResponse]):
-    """moveit_msgs/srv/GetPositionFK_Request, for positions that the arm need not have."""
-
-    TYPE: ClassVar[str] = "moveit_msgs/srv/GetPositionFK"
-    fk_link_names: list[str] = field(default_factory=list)
-    robot_state: RobotState = field(default_factory=RobotState)
 
 
 @dataclass(frozen=True)
@@ -184,9 +156,7 @@ class Session:
 
     async def named(self) -> Mapping[str, Mapping[str, float]]:
         """Return the server's named states: joint positions by name [rad]."""
-        async with (await self.arm()).connection.subscribe("/named_states", String) as texts:
-            states = json.loads((await texts.__anext__()).data)
-        return {name: state["joints"] for name, state in states.items()}
+        return await (await self.arm()).named_states.all()
 
     async def pose(self) -> Mapping[str, float]:
         """Return the present positions of the joints that named states have [rad]; of all joints without any state."""
@@ -216,7 +186,7 @@ class Session:
     async def _tip_at(self, names: list[str], positions: list[float]) -> tuple[float, float, float]:
         arm = await self.arm()
         state = RobotState(JointState(name=names, position=positions))
-        request = PositionFKRequest([arm.info.tip], state)
+        request = GetPositionFKRequest(fk_link_names=[arm.info.tip], robot_state=state)
         answer = await arm.connection.call("/compute_fk", request)
         if not answer.pose_stamped:
             raise LimitError(f"the tip's position on the path is unknown: {answer.error_code.message}")

@@ -265,9 +265,7 @@ def sentences() -> Iterator[None]:
 async def alone(session: Session) -> AsyncIterator[None]:
     """Hold the arm for one motion; a second one is refused, it does not wait."""
     if session.moving.locked():
-        raise LimitError(
-            "another motion is planned, waits for approval or is carried out; wait for its answer, or call stop"
-        )
+        raise LimitError(BUSY)
     async with session.moving:
         yield
 

@@ -12,7 +12,6 @@ from armbridge_client.errors import DeadlineExceeded, refusal
 from armbridge_client.messages import (
     ActionChunk,
     ActionChunkAnswer,
-    Duration,
     Float64,
     Header,
     JointJog,
@@ -23,12 +22,12 @@ from armbridge_client.messages import (
     StartTeleopRequest,
     String,
     TeleopState,
-    Time,
     TriggerRequest,
     Twist,
     TwistStamped,
     Vector3,
 )
+from armbridge_client.motion import duration, stamp
 
 # The server's time after which a command expires (docs/teleoperation.md); a client may choose a shorter one.
 COMMAND_TIMEOUT_S = 0.25
@@ -118,7 +117,6 @@ class AsyncJog:
 
 # Value of error_code for a chunk that is followed.
 _SUCCESS = 1
-_NS_PER_S = 1_000_000_000
 
 
 class AsyncChunks:
@@ -171,15 +169,12 @@ class AsyncChunks:
         if self._stream is None:
             raise RuntimeError("send: only within `async with`")
         points = [
-            JointTrajectoryPoint(
-                positions=list(row), time_from_start=Duration(*divmod(round(time_s * _NS_PER_S), _NS_PER_S))
-            )
+            JointTrajectoryPoint(positions=list(row), time_from_start=duration(time_s))
             for time_s, row in zip(times_s, positions, strict=True)
         ]
-        stamp = Time(*divmod(round(observed_at_s * _NS_PER_S), _NS_PER_S))
         # Answers on the topic are to the chunks of all clients.
         number = f"{id(self)}-{next(self._ids)}"
-        trajectory = JointTrajectory(Header(stamp), list(joint_names), points)
+        trajectory = JointTrajectory(Header(stamp(observed_at_s)), list(joint_names), points)
         # The sentence about an earlier chunk was raised with its answer.
         self._connection.complaint(self._topic)
         await self._connection.publish(self._topic, ActionChunk(number, trajectory, blend, weight))

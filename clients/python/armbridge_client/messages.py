@@ -1035,6 +1035,7 @@ class GetPositionFKRequest(Service[GetPositionFKResponse]):
     TYPE: ClassVar[str] = "moveit_msgs/srv/GetPositionFK"
     header: Header = field(default_factory=Header)
     fk_link_names: list[str] = field(default_factory=list[str])
+    robot_state: RobotState = field(default_factory=RobotState)
 
 
 @dataclass(repr=False)
@@ -1051,6 +1052,22 @@ class SaveRobotStateToWarehouseRequest(Service[SaveRobotStateToWarehouseResponse
 
     TYPE: ClassVar[str] = "moveit_msgs/srv/SaveRobotStateToWarehouse"
     name: str = ""
+
+
+@dataclass(repr=False)
+class TopicsForTypeResponse(Message):
+    """rosapi_msgs/srv/TopicsForType_Response."""
+
+    TYPE: ClassVar[str] = "rosapi_msgs/srv/TopicsForType_Response"
+    topics: list[str] = field(default_factory=list[str])
+
+
+@dataclass(repr=False)
+class TopicsForTypeRequest(Service[TopicsForTypeResponse]):
+    """rosapi_msgs/srv/TopicsForType_Request."""
+
+    TYPE: ClassVar[str] = "rosapi_msgs/srv/TopicsForType"
+    type: str = ""
 
 
 @dataclass(repr=False)
@@ -1269,6 +1286,7 @@ TYPES = {
     "moveit_msgs/srv/GetPlanningScene": "RIHS01_7ed7e96238b902174d985b0eb739ea08c95377e8e46a6a9014c22497faf79cd2",
     "moveit_msgs/srv/GetPositionFK": "RIHS01_2f16ec361a135d84b85a29385abeb9eeb025e39c09038bd6b2826645edc7edad",
     "moveit_msgs/srv/SaveRobotStateToWarehouse": "RIHS01_038b704d5b0a3b81f91ddf02d7f0bb09b8112fe97ae583426b13514ca2c85626",
+    "rosapi_msgs/srv/TopicsForType": "RIHS01_30f193f32508dd6c9ef428326f00d0aef2f585d15436fec65b262e6ddce20c96",
     "std_srvs/srv/SetBool": "RIHS01_abe9e4bb6b41b40e6789712c00ec8871923e089af3f667a79992a428cff2da0a",
     "std_srvs/srv/Trigger": "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f",
     "armbridge_msgs/action/MoveitGoal": "sha256_b6aa2ed0a4a27ae9aec82fbac9ec5bf56208c85342a56869921d7f336659d1ba",

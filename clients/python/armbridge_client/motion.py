@@ -22,6 +22,7 @@ from armbridge_client.messages import (
     MoveitGoalResult,
     PoseStamped,
     RobotTrajectory,
+    Time,
 )
 from armbridge_client.wire import from_wire
 
@@ -94,14 +95,19 @@ def slower(trajectory: RobotTrajectory, speed: float) -> RobotTrajectory:
     return RobotTrajectory(dataclasses.replace(joints, points=points))
 
 
-def seconds(time: Duration) -> float:
-    """Return a duration [s]."""
+def seconds(time: Duration | Time) -> float:
+    """Return a duration, or a time since the epoch [s]."""
     return time.sec + 1e-9 * time.nanosec
 
 
 def duration(time_s: float) -> Duration:
     """Return a duration of a time [s]."""
     return Duration(*divmod(round(1e9 * time_s), 1_000_000_000))
+
+
+def stamp(time_s: float) -> Time:
+    """Return a time since the epoch [s] as a stamp."""
+    return Time(*divmod(round(1e9 * time_s), 1_000_000_000))
 
 
 def motion_of(result: MoveitGoalResult | MoveitGoalResponse) -> Motion:

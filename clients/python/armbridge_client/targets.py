@@ -21,6 +21,7 @@ from armbridge_client.messages import (
     Quaternion,
     SolidPrimitive,
 )
+from armbridge_client.motion import seconds
 
 # A name; joint positions by joint [rad, or m for joints that slide]; a pose; a suggestion of the server.
 Target: TypeAlias = str | Mapping[str, float] | PoseStamped | GoalTarget
@@ -142,7 +143,7 @@ def state_of(joints: JointState, arm: DiagnosticStatus) -> State:
     """Return the state of a message of joint states and of the latest message about the arm."""
     values = {pair.key: pair.value for pair in arm.values}
     return State(
-        joints.header.stamp.sec + 1e-9 * joints.header.stamp.nanosec,
+        seconds(joints.header.stamp),
         dict(zip(joints.name, joints.position)),
         dict(zip(joints.name, joints.velocity)),
         dict(zip(joints.name, joints.effort)),

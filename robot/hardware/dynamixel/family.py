@@ -43,7 +43,7 @@ from robot.hardware.dynamixel.registers import (
 from robot.hardware.interface import StatusFlag, Steps
 from robot.hardware.servos.bus import ServoBus, StatusFrame, read, write_verified
 from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, Values, Watchdog, label
-from robot.hardware.servos.registers import Block, Telemetry
+from robot.hardware.servos.registers import RETURN_DELAY_UNIT_US, Block, Telemetry
 from robot.hardware.servos.survey import limits_warnings
 
 HEADER = b"\xff\xff\xfd\x00"
@@ -165,7 +165,7 @@ class Bus(ServoBus):
 
     registers = TABLE
     word_bytes = 2
-    reply_delay_s = 254 * 2e-6  # register RETURN_DELAY_TIME of 254; the factory's 250 is hardly less
+    reply_delay_s = 254 * RETURN_DELAY_UNIT_US * 1e-6  # the most of RETURN_DELAY_TIME; the factory's 250 is hardly less
     # 4, 6 (out of range) or 7 (cannot be written now); e-manual, DYNAMIXEL Protocol 2.0, Status Packet.
     instruction_error_bits = ~ALERT
     _make_sdk = staticmethod(partial(PacketHandler, PROTOCOL))

@@ -1,1 +1,1 @@
-"""Feetech's serial bus servos: port, packets, registers, survey, and switching torque on and off."""
+"""Feetech's STS servos as hardware of the controller: packets, registers, settings and calibration."""

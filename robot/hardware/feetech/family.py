@@ -30,6 +30,7 @@ from robot.hardware.feetech.registers import (
     SETTINGS_BLOCK,
     STALL_CURRENT_A,
     TABLE,
+    TELEMETRY,
     VOLT_PER_UNIT,
     Register,
     parse_telemetry,
@@ -142,7 +143,7 @@ class Feetech(ServoFamily):
 
     bus = Bus
     registers = TABLE
-    motion = telemetry = TABLE.block(Register.PRESENT_POSITION, Register.PRESENT_CURRENT)
+    motion = telemetry = TELEMETRY
     read_back = (CONTROL,)
     goal_address = GOAL_ADDRESS
     torque_on_clears_errors = True

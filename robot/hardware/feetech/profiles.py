@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 
 from robot.errors import DescriptionError
 from robot.hardware.feetech.registers import AMPERE_PER_UNIT, EPROM, Register
+from robot.hardware.servos.registers import RETURN_DELAY_UNIT_US
 
 if TYPE_CHECKING:
     from robot.description.robot_file import ProfileTable
-
-RETURN_DELAY_UNIT_US = 2
 
 
 @dataclass(frozen=True)

@@ -65,11 +65,11 @@ class Register(RegisterEnum):
     PRESENT_CURRENT = 69, 2, READ_ONLY, 15
 
 
+# Baud rate of each value of register BAUD_RATE.
+BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
+
 # Register MODEL_NUMBER of the servos whose registers are these: Feetech's STS series.
 MODELS: Mapping[str, int] = MappingProxyType({"sts3215": 777, "sts3250": 2825})
-
-TELEMETRY_ADDRESS = Register.PRESENT_POSITION
-TELEMETRY_BYTES = 15
 
 GOAL_ADDRESS = Register.ACCELERATION
 
@@ -97,16 +97,17 @@ EPROM = tuple(register for register in SETTINGS if register.area is EEPROM)
 # Commands that a servo holds.
 CONTROL = TABLE.block(Register.TORQUE_ENABLE, Register.LOCK)
 
-# The telemetry block as one struct, parsed hundreds of times a second, without the async flag, MOVING and the
-# echo of the goal.
+# All measurements, and as one struct, parsed hundreds of times a second, without the async flag, MOVING and the echo of
+# the goal.
+TELEMETRY = TABLE.block(Register.PRESENT_POSITION, Register.PRESENT_CURRENT)
 _TELEMETRY = struct.Struct("<HHHBBxBxxxH")
 _SIGN_10, _SIGN_15 = 1 << 10, 1 << 15
 
 
 def parse_telemetry(data: bytes) -> Telemetry:
-    """Parse the telemetry block, ``TELEMETRY_BYTES`` from ``TELEMETRY_ADDRESS`` on."""
-    if len(data) != TELEMETRY_BYTES:
-        raise ValueError(f"the telemetry block has {TELEMETRY_BYTES} bytes, not {len(data)}")
+    """Parse the block :data:`TELEMETRY`; raises ValueError for another number of bytes."""
+    if len(data) != TELEMETRY.length:
+        raise ValueError(f"the telemetry block has {TELEMETRY.length} bytes, not {len(data)}")
 
     position, velocity, load, volts, temperature, status, current = _TELEMETRY.unpack(data)
     # Sign and magnitude; bits above the sign are ignored.

@@ -195,7 +195,12 @@ SEAM_TICKS = 200
 
 
 class ServoMap:
-    """Servos of an arm in the calibration's order; the joints' greatest velocities become their velocity caps."""
+    """Servos of an arm in the calibration's order; the joints' greatest velocities become their velocity caps.
+
+    Attributes:
+        found: servos by id, as the latest survey has found them.
+        soft_limits_ticks: lowest and highest calibrated position allowed, by id; from the first survey on.
+    """
 
     def __init__(
         self, family: ServoFamily, calibration: Calibration, bounds: JointBounds, limits: GuardLimits | None = None
@@ -209,6 +214,8 @@ class ServoMap:
             for joint, speed in zip(self.joints, bounds.max_velocity, strict=True)
         }
         self.full_torque = full_torque(calibration, limits or GuardLimits())  # shares of full duty, shape (joints,)
+        self.found: dict[int, ServoFound] = {}
+        self.soft_limits_ticks: dict[int, tuple[int, int]] = {}
         self._goal: RegisterEnum = family.registers.goal_position
         self._around_goal = {servo: family.around_goal(speed) for servo, speed in self.speed_ticks_s.items()}
         self._counts_turns = family.counts_turns

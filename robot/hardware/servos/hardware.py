@@ -15,10 +15,12 @@ import numpy as np
 
 from robot.calibration import RAD_PER_TICK, Calibration
 from robot.description.limits import JointBounds
+from robot.description.servo_table import ServoKind
 from robot.errors import NoReply, PortLost, StartupError
 from robot.faults import Fault, FaultCode
 from robot.hardware.boards import resolve_port
 from robot.hardware.config import SerialConfig
+from robot.hardware.feetech.profiles import ServoProfile
 from robot.hardware.interface import Flags, HardwareInterface, Measured, Steps, Survey
 from robot.hardware.servos import torque
 from robot.hardware.servos.bus import ServoBus, StatusFrame
@@ -230,11 +232,9 @@ class ServoHardware(HardwareInterface):
         self._simulated = simulated
         self._tracker = ServoTracker(family, self.servos)
         self._cycle = 0
-        self._found: dict[int, ServoFound] = {}
         self._first_found: dict[int, ServoFound] = {}
-        self._soft_ticks: dict[int, tuple[int, int]] = {}
-        self._checks = RegisterChecks(family, self.servos, self._found)
-        self._torque = ServoTorque(family, bus, self.servos, self._found, self._soft_ticks)
+        self._checks = RegisterChecks(family, self.servos)
+        self._torque = ServoTorque(family, bus, self.servos)
         self._was_enabled = False
         # The latest goals and the turns of their servos, and their blocks.
         self._goals: list[float] = []
@@ -244,16 +244,16 @@ class ServoHardware(HardwareInterface):
         self._limits: dict[int, Limit] = {}
 
     def survey(self) -> Steps[Survey]:
-        self._found.update((yield from survey(self._family, self.bus, self.servos, simulated=self._simulated)))
-        self._first_found = self._first_found or dict(self._found)
+        self.servos.found = yield from survey(self._family, self.bus, self.servos, simulated=self._simulated)
+        self._first_found = self._first_found or dict(self.servos.found)
         self.needs_survey = False
         self._shares = []
-        found = [self._found[servo] for servo in self.servos.ids]
-        actuation = self._family.actuation(self.servos.joints, self._found)
+        found = [self.servos.found[servo] for servo in self.servos.ids]
+        actuation = self._family.actuation(self.servos.joints, self.servos.found)
         self.full_torque = self.servos.full_torque = np.minimum(self.full_torque, actuation.max_torque)
         own_limits = {servo: self._torque.goal_limits_ticks(servo) for servo in self.servos.ids}
         bounds = self._bounds.within_servos(self._calibration, own_limits)
-        self._soft_ticks.update(self.servos.ticks_range(bounds))
+        self.servos.soft_limits_ticks = self.servos.ticks_range(bounds)
         table = self._family.registers
         driven = np.array([each.values[table.torque_enable] == 1 for each in found])
         goal_rad = self.servos.positions_rad([each.values[table.goal_position] + each.turns_ticks for each in found])
@@ -360,7 +360,7 @@ class ServoHardware(HardwareInterface):
 
     def health(self, joint: int) -> JointHealth:
         servo = self.servos.ids[joint]
-        found = self._found.get(servo)
+        found = self.servos.found.get(servo)
         return JointHealth(
             joint=self.joint_names[joint],
             hardware_id=f"servo {servo}",
@@ -388,9 +388,9 @@ class ServoHardware(HardwareInterface):
         if not self._simulated and not self._calibration.zero_is_known:
             return NO_ZERO.format(advice=self._family.calibrate_advice)
         offsets_known = self._calibration.offsets_known or self._family.assumes_no_offsets
-        contradiction = calibration_refusal(self._family, self.servos, self._found) if offsets_known else ""
+        contradiction = calibration_refusal(self._family, self.servos) if offsets_known else ""
         return contradiction or change_refusal(
-            self._family, self.servos, self._first_found, self._found, offsets_known=offsets_known
+            self._family, self.servos, self._first_found, offsets_known=offsets_known
         )
 
     def _expect_full_torque(self) -> None:
@@ -412,6 +412,19 @@ class ServoHardware(HardwareInterface):
         return self._limits
 
 
+def family_of(kind: ServoKind, profile: ServoProfile | None = None) -> ServoFamily:
+    """Return a family of servos, and import no other; Feetech's may have settings of their own."""
+    match kind:
+        case "feetech":
+            from robot.hardware.feetech.family import Feetech
+
+            return Feetech(profile)
+        case "dynamixel":
+            from robot.hardware.dynamixel.family import Dynamixel
+
+            return Dynamixel()
+
+
 def open_servos(
     family: ServoFamily,
     config: SerialConfig,
@@ -425,16 +438,15 @@ def open_servos(
 
 
 class RegisterChecks:
-    """Comparison of driven servos' registers with what was written to them; the servos are surveyed later.
+    """Comparison of driven servos' registers with what was written to them.
 
     A servo whose supply dips reboots, with torque off and its torque limit at the maximum. A servo that its watchdog
     has stopped ignores its goals. Telemetry shows neither, so the registers of one servo at a time are read back.
     """
 
-    def __init__(self, family: ServoFamily, servos: ServoMap, found: Mapping[int, ServoFound]) -> None:
+    def __init__(self, family: ServoFamily, servos: ServoMap) -> None:
         self._family = family
         self._servos = servos
-        self._found = found
         self._turn = cycle((servo, block) for block in family.read_back for servo in servos.ids)
         self._cycle = 0
         self._expected: dict[int, Limit] = {}
@@ -470,7 +482,7 @@ class RegisterChecks:
                 silence = f"{watchdog.silence_s:g} s"
                 message = f"the servo of joint {joint} has stopped by itself, since it heard nothing for {silence}"
                 return Fault(FaultCode.SERVO_SILENT, message, joint, stamp_s)
-            restarted = self._family.has_restarted(self._found[servo_id], values, limit)
+            restarted = self._family.has_restarted(self._servos.found[servo_id], values, limit)
             if restarted or values.get(limit.register, limit.value) != limit.value:
                 self._expected.pop(servo_id)
             if restarted:

@@ -13,6 +13,8 @@ class Area(Enum):
     RAM = "RAM"
 
 
+RETURN_DELAY_UNIT_US = 2  # unit of the register of return delay in both makers' tables [us]
+
 TWOS_COMPLEMENT = -1  # sign of a register in two's complement, in place of the bit of sign and magnitude
 
 

@@ -47,16 +47,16 @@ def limits_warnings(
         yield ServoWarning(alert, sentence)
 
 
-def calibration_refusal(family: ServoFamily, servos: ServoMap, found: Mapping[int, ServoFound]) -> str:
+def calibration_refusal(family: ServoFamily, servos: ServoMap) -> str:
     """Return the reason not to drive servos with another homing offset, or limits of another one; empty for none."""
     shifted = []
     for joint in servos.joints:
-        held = found[joint.servo_id].values[family.registers.homing_offset]
+        held = servos.found[joint.servo_id].values[family.registers.homing_offset]
         if held != joint.homing_offset:
             angle_deg = math.degrees(abs(joint.rad_s_from_ticks_s(held - joint.homing_offset)))
             shifted.append(f"{label(joint)} by {angle_deg:.1f} deg ({held} instead of {joint.homing_offset} ticks)")
     if not shifted:
-        return _limits_refusal(family, servos, found)
+        return _limits_refusal(family, servos)
     return (
         f"the zero has shifted since the calibration at {', '.join(shifted)}: other homing offsets were written into "
         f"the servos. {family.recalibrate_advice}"
@@ -64,17 +64,12 @@ def calibration_refusal(family: ServoFamily, servos: ServoMap, found: Mapping[in
 
 
 def change_refusal(
-    family: ServoFamily,
-    servos: ServoMap,
-    before: Mapping[int, ServoFound],
-    found: Mapping[int, ServoFound],
-    *,
-    offsets_known: bool,
+    family: ServoFamily, servos: ServoMap, before: Mapping[int, ServoFound], *, offsets_known: bool
 ) -> str:
     """Return the reason not to drive servos whose calibration has changed while connected; none if it is known."""
     changed = []
     for joint in servos.joints:
-        was, held = (_calibrated(family, each[joint.servo_id].values) for each in (before, found))
+        was, held = (_calibrated(family, each[joint.servo_id].values) for each in (before, servos.found))
         calibrated = joint.homing_offset, joint.range_min, joint.range_max
         if held != was and not (offsets_known and held == calibrated):
             changed.append(
@@ -88,12 +83,12 @@ def change_refusal(
     )
 
 
-def _limits_refusal(family: ServoFamily, servos: ServoMap, found: Mapping[int, ServoFound]) -> str:
+def _limits_refusal(family: ServoFamily, servos: ServoMap) -> str:
     """Return the reason not to drive servos whose range was shifted; wider and narrower ones are another's choice."""
     shifted = []
     # Servos that count turns have limits in a mode alone in which they do not.
     for joint in () if family.counts_turns else servos.joints:
-        low, high = family.position_limits_ticks(found[joint.servo_id].values)
+        low, high = family.position_limits_ticks(servos.found[joint.servo_id].values)
         low_by, high_by = low - joint.range_min, high - joint.range_max
         # A limit at the end of the turn is none: it was opened, not shifted.
         up = low_by > LIMITS_AGREE_WITHIN_TICKS and high_by > LIMITS_AGREE_WITHIN_TICKS and high != MAX_TICK

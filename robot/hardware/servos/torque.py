@@ -6,13 +6,13 @@ is a sequence (:mod:`robot.hardware.interface`) that may be abandoned between an
 calibration counts (:mod:`robot.hardware.servos.family`).
 """
 
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from robot.errors import NoReply, StartupError
 from robot.hardware.interface import Steps
 from robot.hardware.servos.bus import STEP_ATTEMPTS, ServoBus, read, write_verified
-from robot.hardware.servos.family import Limit, ServoFamily, ServoFound, ServoMap
+from robot.hardware.servos.family import Limit, ServoFamily, ServoMap
 from robot.hardware.servos.registers import RegisterEnum
 
 # Largest distance from the goal when torque comes on; more means that the arm moved or the goal was not taken.
@@ -86,21 +86,12 @@ def write_limits(bus: ServoBus, limits: Mapping[int, Limit]) -> None:
 
 
 class ServoTorque:
-    """Torque of servos that are surveyed later; soft limits are the calibrated positions allowed, by id [ticks]."""
+    """Torque of an arm's servos, from their survey on."""
 
-    def __init__(
-        self,
-        family: ServoFamily,
-        bus: ServoBus,
-        servos: ServoMap,
-        found: MutableMapping[int, ServoFound],
-        soft_limits_ticks: Mapping[int, tuple[int, int]],
-    ) -> None:
+    def __init__(self, family: ServoFamily, bus: ServoBus, servos: ServoMap) -> None:
         self._family = family
         self._bus = bus
         self._servos = servos
-        self._found = found
-        self._soft = soft_limits_ticks
 
     def enable(self, ids: Sequence[int]) -> Steps[dict[int, int]]:
         """Switch servos on at their positions; the others are only read.
@@ -169,16 +160,17 @@ class ServoTorque:
         """Disarm all watchdogs, so that other programs may pause; not acknowledged."""
         watchdog = self._family.watchdog
         if watchdog is not None:
-            armed = {servo: Limit(watchdog.register, 0) for servo in self._found if self.has_watchdog(servo)}
+            armed = {servo: Limit(watchdog.register, 0) for servo in self._servos.found if self.has_watchdog(servo)}
             write_limits(self._bus, armed)
 
     def has_watchdog(self, servo_id: int) -> bool:
         """Return True for a servo that was surveyed and has a watchdog."""
-        found = self._found.get(servo_id)
+        found = self._servos.found.get(servo_id)
         return found is not None and self._family.has_watchdog(self._servos.by_id[servo_id], found.values)
 
     def goal_limits_ticks(self, servo_id: int) -> tuple[int, int]:
-        return self._family.goal_limits_ticks(self._found[servo_id].values, self._servos.certain_ticks(servo_id))
+        values, certain_ticks = self._servos.found[servo_id].values, self._servos.certain_ticks(servo_id)
+        return self._family.goal_limits_ticks(values, certain_ticks)
 
     def reachable(self, servo_id: int, ticks: int) -> int:
         """Return the goal nearest to a position that the servo can be sent to [ticks]."""
@@ -186,10 +178,10 @@ class ServoTorque:
         return max(lowest, min(highest, ticks))
 
     def _limit(self, servo_id: int, share: float) -> Limit:
-        return self._family.limit(self._servos.by_id[servo_id], self._found[servo_id].values, share)
+        return self._family.limit(self._servos.by_id[servo_id], self._servos.found[servo_id].values, share)
 
     def _check_position(self, servo_id: int, present_ticks: int) -> None:
-        soft, own = self._soft[servo_id], self.goal_limits_ticks(servo_id)
+        soft, own = self._servos.soft_limits_ticks[servo_id], self.goal_limits_ticks(servo_id)
         inside = soft[0] - OUTSIDE_LIMIT_TICKS <= present_ticks <= soft[1] + OUTSIDE_LIMIT_TICKS
         # The servo clamps or refuses a goal beyond its own limits: torque would move it, or it could not stay there.
         jump = abs(self.reachable(servo_id, present_ticks) - present_ticks)
@@ -242,9 +234,9 @@ class ServoTorque:
         return goal_ticks
 
     def _switch_on(self, servo_id: int) -> Steps[int]:
-        found, watchdog = self._found[servo_id], self._family.watchdog
+        found, watchdog = self._servos.found[servo_id], self._family.watchdog
         values = yield from self._family.prepare(self._bus, self._servos.by_id[servo_id], found.values)
-        self._found[servo_id] = replace(found, values=values)
+        self._servos.found[servo_id] = replace(found, values=values)
         if watchdog is not None and self.has_watchdog(servo_id):
             yield from write_verified(self._bus, servo_id, watchdog.register, 0)
         yield from self._set_profile(servo_id)

@@ -31,11 +31,11 @@ def playing(trajectory: Trajectory) -> Motion:
 def play(stop_after_s: float, duration_s: float = 2.0) -> tuple[Motion, np.ndarray]:
     """Play until nothing moves; the goals of all ticks."""
     playback = playing(smooth_move(MOVES, duration_s))
-    goals = [playback.advance(0.0)]
+    goals = [playback.step(0.0)]
     for tick in itertools.count(1):
         if tick * PERIOD_S >= stop_after_s:
             playback.stop()
-        goals.append(playback.advance(PERIOD_S))
+        goals.append(playback.step(PERIOD_S))
         if playback.finished:
             return playback, np.array(goals)
         assert tick < 1000
@@ -72,10 +72,9 @@ def test_a_stop_stays_on_the_path_and_within_the_acceleration_limits(stop_after_
 @given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.integers(1, 80)), min_size=1, max_size=8), st.floats(1.3, 4.0))
 def test_at_any_pace_the_arm_stays_on_the_path_within_limits(paces: list[tuple[float, int]], duration_s: float) -> None:
     playback = playing(smooth_move(MOVES, duration_s))
-    goals = [playback.advance(0.0)]
+    goals = [playback.step(0.0)]
     for pace, ticks in paces:
-        playback.pace = pace
-        goals += [playback.advance(PERIOD_S) for _ in range(ticks)]
+        goals += [playback.step(PERIOD_S, pace) for _ in range(ticks)]
     points = np.array(goals)
     assert distance_from_line(points) == pytest.approx(np.zeros(len(points)), abs=1e-9)
     accelerations = np.abs(np.diff(points, n=2, axis=0)) / PERIOD_S**2
@@ -85,17 +84,15 @@ def test_at_any_pace_the_arm_stays_on_the_path_within_limits(paces: list[tuple[f
 def test_the_way_back_ends_at_rest_where_the_path_began_and_there_is_none_from_where_the_joints_settle() -> None:
     playback = playing(smooth_move(MOVES, 2.0))
     for _ in range(100):
-        playback.advance(PERIOD_S)
-    playback.pace = -1.0
-    goals = [playback.advance(PERIOD_S) for _ in range(200)]
+        playback.step(PERIOD_S)
+    goals = [playback.step(PERIOD_S, -1.0) for _ in range(200)]
     assert goals[-1] == pytest.approx([0.0, 0.5])
     assert not playback.finished
     playback.stop()
-    playback.advance(PERIOD_S)
+    playback.step(PERIOD_S, -1.0)
     assert (playback.finished, playback.completed) == (True, False)
     playback, settled = play(stop_after_s=99.0)
-    playback.pace = -1.0
-    assert playback.advance(PERIOD_S) == pytest.approx(settled[-1])
+    assert playback.step(PERIOD_S, -1.0) == pytest.approx(settled[-1])
     assert playback.completed
 
 
@@ -103,9 +100,8 @@ def test_a_path_that_begins_in_motion_is_gone_back_without_a_jerk_at_its_start()
     cut = since(0.8)
     playback = playing(cut)
     for _ in range(60):
-        playback.advance(PERIOD_S)
-    playback.pace = -1.0
-    goals = np.array([playback.advance(PERIOD_S) for _ in range(300)])
+        playback.step(PERIOD_S)
+    goals = np.array([playback.step(PERIOD_S, -1.0) for _ in range(300)])
     accelerations = np.abs(np.diff(goals, n=2, axis=0)) / PERIOD_S**2
     assert (accelerations <= MAX_ACCELERATION * (1.0 + BRAKING_SHARE) + 0.5).all()
     assert goals[-1] == pytest.approx(cut.positions_rad[0], abs=0.01)
@@ -121,7 +117,7 @@ def at_its_end(
 ) -> tuple[Motion, np.ndarray]:
     move = smooth_move({"elbow_flex": (0.0, 0.5), "gripper": (0.0, 1.0)}, 1.0)
     motion = Motion(Execute(1, move, **options), NAMES, BOUNDS, limits, tolerance_rad)
-    motion.advance(2.0)
+    motion.step(2.0)
     return motion, np.array([0.0, 0.5, 1.0])
 
 
@@ -135,10 +131,10 @@ def test_a_motion_has_reached_its_end_after_three_ticks_in_a_row_within_the_tole
 def test_progress_and_rate_are_of_the_pace_and_of_the_fastest_while_it_waits_or_goes_back() -> None:
     playback = playing(smooth_move(MOVES, 2.0))
     for _ in range(100):
-        playback.advance(PERIOD_S)
+        playback.step(PERIOD_S)
     assert playback.fraction == pytest.approx(0.5)
     for pace, rate, remaining_s in ((1.0, 1.0, 1.0), (0.5, 0.5, 2.0), (0.0, 0.0, 1.0), (-0.5, 0.5, 1.0)):
-        playback.pace = pace
+        playback.step(0.0, pace)
         assert (playback.rate, playback.remaining_s) == (rate, pytest.approx(remaining_s))
 
 

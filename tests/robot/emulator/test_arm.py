@@ -17,7 +17,7 @@ from robot.emulator.arm import MAX_WAITING_BYTES, EmulatedArm, LinkWeights, weig
 from robot.emulator.control import LiveCommand
 from robot.emulator.feetech import DUTY_PERMILLE_PER_NM, build_servos
 from robot.errors import NoReply, StartupError
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
+from robot.hardware.feetech.registers import TELEMETRY
 from robot.hardware.interface import HardwareInterface, run_to_end
 from robot.hardware.port import LOCAL_LATENCY_S
 from tests.helpers import arm_rig, dynamixel
@@ -159,7 +159,7 @@ COMMANDS = [
     *({"drop": 0.0}, {"status": {"3": 0}}, {"hand": {"1": None}}, {"obstacle": {"1": None}}, {"frozen": False}),
 ]
 
-BLOCK_READ = packet(ALL, SYNC_READ, [TELEMETRY_ADDRESS, TELEMETRY_BYTES, *IDS])
+BLOCK_READ = packet(ALL, SYNC_READ, [TELEMETRY.address, TELEMETRY.length, *IDS])
 STEP_S = 0.01
 
 
@@ -200,14 +200,14 @@ def test_the_packets_are_those_of_a_bus_whose_bytes_take_their_time(events: list
 def test_replies_are_there_at_once_one_that_does_not_come_is_not_waited_for_and_no_time_passes(at_once):
     started_s = at_once.clock()
     at_once.port.writePort(BLOCK_READ)
-    assert len(at_once.port.receive(1.0)) == 6 * (TELEMETRY_BYTES + 6)
+    assert len(at_once.port.receive(1.0)) == 6 * (TELEMETRY.length + 6)
     with pytest.raises(NoReply):
         at_once.open_bus().ping(9)
     assert at_once.clock() == started_s
     # Nor do USB frames delay a reply.
     at_once.clock.advance(0.0001)
     at_once.command(usb_frame_ms=1)
-    assert len(at_once.open_bus().sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
+    assert len(at_once.open_bus().sync_read(IDS, TELEMETRY.address, TELEMETRY.length)) == 6
 
 
 def test_with_wire_time_replies_and_silence_are_waited_for_as_on_a_serial_port(emulator):

@@ -13,7 +13,7 @@ import pytest
 from harness.waiting import TIMEOUT_S, running
 from robot.errors import NoReply
 from robot.hardware.feetech.bus import Bus
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES
+from robot.hardware.feetech.registers import TELEMETRY
 from robot.hardware.port import TERMINAL_LATENCY_S
 from tests.helpers.programs import run
 
@@ -44,10 +44,10 @@ def line(terminal):
 def test_live_commands_are_answered_while_the_bus_runs(terminal, line):
     assert terminal.command(drop=1.0) == {"ok": True}
     with without_replies(line):
-        assert line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES) == {}
+        assert line.sync_read(IDS, TELEMETRY.address, TELEMETRY.length) == {}
     assert "unknown command" in str(terminal.command(nonsense=1)["error"])
     assert terminal.command(drop=0.0) == {"ok": True}
-    assert len(line.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)) == 6
+    assert len(line.sync_read(IDS, TELEMETRY.address, TELEMETRY.length)) == 6
 
 
 def test_a_controlled_emulator_leaves_ctrl_c_to_its_controller_and_ends_after_it(terminal, line):

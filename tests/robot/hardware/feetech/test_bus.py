@@ -25,7 +25,7 @@ from robot.hardware.feetech.bus import (
     instruction_packet,
     parse_status_frames,
 )
-from robot.hardware.feetech.registers import TELEMETRY_ADDRESS, TELEMETRY_BYTES, Register, parse_telemetry
+from robot.hardware.feetech.registers import TELEMETRY, Register, parse_telemetry
 from robot.hardware.interface import status_names
 from robot.hardware.port import LOCAL_LATENCY_S, QUIET_S
 from robot.hardware.servos.bus import ATTEMPTS, read_registers
@@ -36,7 +36,7 @@ IDS = (1, 2, 3, 4, 5, 6)
 
 
 def read_telemetry(bus: Bus) -> dict[int, StatusFrame]:
-    return bus.sync_read(IDS, TELEMETRY_ADDRESS, TELEMETRY_BYTES)
+    return bus.sync_read(IDS, TELEMETRY.address, TELEMETRY.length)
 
 
 def test_the_same_data_can_be_written_elsewhere_and_the_settings_are_the_registers_below_the_ram(bus):
@@ -184,7 +184,7 @@ def test_no_two_reads_in_a_row_nor_blocks_of_different_length_ask_for_the_same_n
         bus.sync_read((1,), registers.CONTROL.address, registers.CONTROL.length)
         read_telemetry(bus)
     asked = {tuple(instruction.parameters[:2]) for instruction in line.instructions}
-    assert {address for address, _ in asked} == {registers.CONTROL.address, TELEMETRY_ADDRESS}
+    assert {address for address, _ in asked} == {registers.CONTROL.address, TELEMETRY.address}
     assert len({length for _, length in asked}) == len(asked)
 
 
@@ -199,7 +199,7 @@ def test_a_sync_read_after_a_late_one_asks_for_another_length():
     assert read_telemetry(bus) == {}
     for expected in (2, 3):
         for frame in read_telemetry(bus).values():
-            assert frame.data == bytes([expected] * TELEMETRY_BYTES)
+            assert frame.data == bytes([expected] * TELEMETRY.length)
 
 
 def test_after_a_failure_nothing_is_sent_until_the_line_is_quiet():
@@ -274,7 +274,7 @@ def good_readings_on_a_bad_line(seed: int) -> int:
                 good += 1
             for sync_id, frame in read_telemetry(bus).items():
                 stamp = len(line.instructions) % 250
-                assert frame.data == bytes([stamp, sync_id] * 8)[:TELEMETRY_BYTES]
+                assert frame.data == bytes([stamp, sync_id] * 8)[: TELEMETRY.length]
                 good += 1
     return good
 
@@ -369,7 +369,7 @@ def test_the_sign_stands_in_each_registers_own_bit_and_every_documented_status_b
     assert [len(status_names(status)) for status in range(256)] == [(each & 0x3F).bit_count() for each in range(256)]
 
 
-@given(st.binary(min_size=TELEMETRY_BYTES, max_size=TELEMETRY_BYTES))
+@given(st.binary(min_size=TELEMETRY.length, max_size=TELEMETRY.length))
 @example(bytes([0, 0x80] * 7 + [0]))  # each sign without a magnitude
 @example(bytes([0, 0x04] * 7 + [0]))
 def test_telemetry_is_read_as_its_registers_are_and_of_no_other_length(block):
@@ -384,7 +384,7 @@ def test_telemetry_is_read_as_its_registers_are_and_of_no_other_length(block):
         Register.PRESENT_CURRENT: pytest.approx(parsed.current_a / 0.0065),
     }
     for register, value in values.items():
-        at = register - TELEMETRY_ADDRESS
+        at = register - TELEMETRY.address
         assert register.decode(block[at : at + register.size]) == value
     with pytest.raises(ValueError, match="15 bytes, not 14"):
         parse_telemetry(block[:-1])

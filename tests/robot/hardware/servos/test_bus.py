@@ -160,18 +160,20 @@ def test_servos_that_do_not_answer_are_named_with_the_likely_cause(family: Famil
 
 def test_a_homing_offset_that_another_program_wrote_is_refused_with_the_remedy(family: Family, emulator: Any) -> None:
     servos, before = family.servo_map, surveyed(family, emulator)
-    assert calibration_refusal(family.driver, servos, before) == ""
+    servos.found = before
+    assert calibration_refusal(family.driver, servos) == ""
+    assert change_refusal(family.driver, servos, before, offsets_known=False) == ""
     calibrated = family.calibration.joints[2].homing_offset
     family.put(emulator, 3, "HOMING_OFFSET", calibrated - 85)
-    after = surveyed(family, emulator)
-    reason = calibration_refusal(family.driver, servos, after)
+    servos.found = after = surveyed(family, emulator)
+    reason = calibration_refusal(family.driver, servos)
     assert f"elbow_flex (id 3) by 7.5 deg ({calibrated - 85} instead of {calibrated} ticks)" in reason
     assert "calibrate the arm again" in reason
     assert family.driver.recalibrate_advice in reason
     # So is one that has changed since the start, but not the way back to the calibration in use.
-    assert change_refusal(family.driver, servos, before, before, offsets_known=False) == ""
-    assert "elbow_flex (id 3) (offset" in change_refusal(family.driver, servos, before, after, offsets_known=False)
-    assert change_refusal(family.driver, servos, after, before, offsets_known=True) == ""
+    assert "elbow_flex (id 3) (offset" in change_refusal(family.driver, servos, before, offsets_known=False)
+    servos.found = before
+    assert change_refusal(family.driver, servos, after, offsets_known=True) == ""
 
 
 @pytest.mark.parametrize(
@@ -188,7 +190,9 @@ def test_shifted_limits_are_refused_others_may_differ(low: int | None, high: int
     highest = 4095 if high is None else joint.range_max + high
     FEETECH.put(emulator, 3, "MIN_ANGLE_LIMIT", lowest)
     FEETECH.put(emulator, 3, "MAX_ANGLE_LIMIT", highest)
-    reason = calibration_refusal(FEETECH.driver, FEETECH.servo_map, surveyed(FEETECH, emulator))
+    servos = FEETECH.servo_map
+    servos.found = surveyed(FEETECH, emulator)
+    reason = calibration_refusal(FEETECH.driver, servos)
     assert (f"elbow_flex (id 3) {lowest} to {highest} instead of" in reason and "--write-back" in reason) is refused
 
 

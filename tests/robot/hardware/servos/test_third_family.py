@@ -1,13 +1,16 @@
 """A family that was added as ARCHITECTURE.md says is driven like the others."""
 
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
 
+from robot.description.servo_table import MAX_HOMING_OFFSET, ServoKind
 from robot.faults import FaultCode
 from robot.hardware.interface import StatusFlag, run_to_end
-from robot.hardware.servos.hardware import CYCLES_BETWEEN, ServoHardware
+from robot.hardware.servos.family import ServoFamily
+from robot.hardware.servos.hardware import CYCLES_BETWEEN, ServoHardware, family_of
 from robot.messages import GuardLimits
 from tests.helpers.arm_rig import BOUNDS, CALIBRATION, ServosInUse
 from tests.helpers.emulator import SteppedClock
@@ -64,3 +67,9 @@ def test_a_restart_is_noticed_and_an_error_cleared() -> None:
     assert arm.read().status[3] == StatusFlag.OVERLOAD
     run_to_end(arm.hardware.clear_overloads([3], hold=True), arm.emulator.run)
     assert arm.values(Register.ERROR) == [0] * 6
+
+
+@pytest.mark.parametrize("kind", get_args(ServoKind))
+def test_each_kind_of_servos_has_a_family_and_a_greatest_homing_offset(kind: ServoKind) -> None:
+    assert isinstance(family_of(kind), ServoFamily)
+    assert MAX_HOMING_OFFSET[kind] > 0

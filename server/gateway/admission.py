@@ -343,8 +343,8 @@ class AdmissionPolicy:
             owner = self._access.one_time_tokens.reader(token)
         if owner is None:
             self.auth_throttle.record_failure(request.address, token)
-            self._log_refusal("token", request.address, f"{request.address} has shown a token that is nobody's")
-            return _unauthorized("this token is nobody's")
+            self._log_refusal("token", request.address, f"{request.address} has shown an invalid token")
+            return _unauthorized("invalid token")
         return owner
 
     def _refuse(self, status: HTTPStatus, kind: str, value: str, sentence: str) -> HttpResponse:

@@ -119,9 +119,9 @@ def test_a_request_is_refused_with_its_reason() -> None:
 def test_a_wrong_token_is_refused_and_not_logged(path: str, tokens: Tokens, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("DEBUG")
     admitted = policy_of(tokens).check(request_for(path))
-    assert refused(admitted) == (401, "this token is nobody's\n")
+    assert refused(admitted) == (401, "invalid token\n")
     assert admitted.headers["WWW-Authenticate"] == "Bearer"
-    assert "::1 has shown a token that is nobody's" in caplog.text
+    assert "::1 has shown an invalid token" in caplog.text
     assert path[8:24] not in caplog.text or path == "/?token="
 
 

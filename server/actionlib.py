@@ -25,7 +25,7 @@ GoalId: TypeAlias = Mapping[str, Any]
 # actionlib's status_list_timeout: time for which the status of an ended goal is still published [s].
 ENDED_KEPT_S = 5.0
 
-# Far more than anybody waits for; further goals are rejected.
+# Far more goals than anybody waits for; further ones are rejected.
 MAX_GOALS = 100
 
 ZERO = Stamp(0, 0)
@@ -118,7 +118,7 @@ class BridgedAction:
         self._node.subscribe(f"{name}/cancel", GOAL_ID, self._take_cancel)
 
     def publish_status(self) -> None:
-        # Drop what ended long ago, and of very many goals the oldest that have ended.
+        # Drop goals that ended long ago, and the oldest ended goals where there are very many.
         now_s = self._graph.clock()
         self._goals = {
             key: goal

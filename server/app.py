@@ -218,7 +218,7 @@ class App:
         try:
             if await unless_ended(ending, start_in_order(self.features, started)):
                 self._monitoring.monitor.notify_started()
-                log.info("%s", self._what_runs_where())
+                log.info("%s", self._ready_sentence())
                 if not page_is_built(PAGE_DIRECTORY):
                     log.info("%s", HOW_TO_BUILD_PAGE)
                 await unless_ended(ending, self._restart.wait())
@@ -255,9 +255,9 @@ class App:
         if refusal is not None:
             raise StartError(f"the planners cannot load the robot: {refusal}")
 
-    def _what_runs_where(self) -> str:
+    def _ready_sentence(self) -> str:
         simulation = self._context.settings.simulation
-        arms = "; ".join(_what_arm_runs(each, simulation) for each in self._arms.each)
+        arms = "; ".join(_arm_sentence(each, simulation) for each in self._arms.each)
         listener = self._clients.listener
         page = f"{listener.page_url} (page), " if page_is_built(PAGE_DIRECTORY) else ""
         raw_tcp = f"{listener.tcp_url} (rosbridge over TCP), " if listener.tcp_url is not None else ""
@@ -278,7 +278,7 @@ def _bridge_of(settings: Settings, graph: Graph, access: Access) -> "Bridge | No
     return Bridge(graph, settings.zenoh, access, settings.server.limits.max_message_bytes)
 
 
-def _what_arm_runs(served: ServedArm, simulation: SimulationSettings) -> str:
+def _arm_sentence(served: ServedArm, simulation: SimulationSettings) -> str:
     arm, settings, description = served.arm, served.settings, served.description
     bus = f"on {settings.serial}" if settings.serial is not None else "simulated"
     kinds = ["ideal"] if description.calibration is None else []

@@ -82,7 +82,7 @@ class Student:
 
 
 def places(count: int, first_port: int, folder: Path) -> list[Student]:
-    """Make a place for each student, with ports in a row; who is in the folder's list keeps the token.
+    """Make a place for each student, with ports in a row; students in the folder's list keep their tokens.
 
     Raises ConfigurationError for ports that there are not, StartError for a list that cannot be read.
     """
@@ -154,7 +154,7 @@ CHECK_S = 0.2
 
 @dataclass
 class Member:
-    """A process that is to run; its log goes to a file, empty at its first start, or to the terminal."""
+    """Process to keep running; its log goes to a file, emptied at the first start, or to the terminal."""
 
     name: str
     run: Callable[[], None]
@@ -175,7 +175,7 @@ class Member:
         self._started_s = now_s
         self._starts += 1
         try:
-            self._process = ForkedProcess(self._be)
+            self._process = ForkedProcess(self._run_forked)
         except OSError as error:
             self._due_s = now_s + self._delay.after(0.0)
             log.warning("%s cannot be started: %s", self.name, error)
@@ -199,7 +199,7 @@ class Member:
         if self._process is not None and not self.ended():
             os.kill(self._process.pid, number)
 
-    def _be(self) -> None:
+    def _run_forked(self) -> None:
         end_with_parent(os.getppid(), signal.SIGTERM)
         for number in SIGNALS:
             signal.signal(number, signal.SIG_DFL)
@@ -214,7 +214,7 @@ class Member:
 
 
 def supervise(members: Sequence[Member]) -> None:
-    """Run all members until SIGINT or SIGTERM; each that ends is started again, and at last all end together.
+    """Run all members until SIGINT or SIGTERM, and start each again that ends before.
 
     This process has no threads and no event loop, so that a fork of it is whole at any time. It waits for signals: the
     end of a child (SIGCHLD), or its own. What it has loaded before the first fork is in memory once for all.
@@ -257,7 +257,7 @@ def _end(members: Iterable[Member]) -> None:
 
 log = logging.getLogger("armbridge.classroom")
 
-# Questions that are answered at the same time: checks of motions under way among them, which others' must not hold up.
+# Questions that are answered at the same time: among them are checks of motions under way, which must not wait.
 QUESTIONS = 2
 
 

@@ -22,7 +22,7 @@ from pydantic_core import to_jsonable_python
 
 from server.errors import ConfigurationError
 
-# Who mistypes a name has most of it right; below this share of equal letters a proposal misleads.
+# Least likeness of a key that is proposed for a mistyped one, by difflib's measure: a less similar key misleads.
 LIKENESS = 0.6
 NAME_LIKENESS = 0.75
 

@@ -13,7 +13,7 @@ from server.config import PREFIX, NamedArmSettings, Settings
 from server.config_keys import every_field, flattened, is_table, read_toml, unknown
 from server.errors import ConfigurationError, sentence_of
 
-# What may be secret, and must not get into logs by a refusal.
+# Settings whose values may be secret, and must not get into logs by a refusal.
 _SECRET = (
     "access.token",
     "access.admin_tokens",
@@ -40,7 +40,7 @@ def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Set
         tables = frozenset(key for key, _, field in every_field(Settings) if is_table(field))
         keys = {layer: [key for key, _ in flattened(values, tables)] for layer, values in layers.items()}
         sources = {key: layer for layer, own in keys.items() for key in own}
-        # Where refusals say that a value comes from.
+        # Sources of values in refusals.
         places = {"file": f"file {file}"}
         for layer, values in layers.items():
             _check_values(values, layers.values(), dict.fromkeys(keys[layer], places.get(layer, layer)))
@@ -53,7 +53,7 @@ def load_with_sources(file: Path | None, overrides: dict[str, Any]) -> tuple[Set
 
 
 def _unreadable(error: SettingsError) -> str:
-    """Name the variable of a list or table that is not JSON, as the error does not; its value may be secret."""
+    """Return the sentence about a variable that is not JSON, which the error does not name; its value may be secret."""
     text = getattr(error.__cause__, "doc", None)
     names = [name for name, value in os.environ.items() if name.upper().startswith(PREFIX) and value == text]
     if not names:
@@ -63,7 +63,7 @@ def _unreadable(error: SettingsError) -> str:
 
 
 def _check_values(values: dict[str, Any], layers: Iterable[dict[str, Any]], places: dict[str, str]) -> None:
-    """Refuse wrong values of one layer, also overridden ones; a layer above may put contradictions right."""
+    """Refuse wrong values of one layer, also overridden ones; contradictions may be mended by a layer above."""
     try:
         Settings(**functools.reduce(_merged, (*layers, values)))
     except ValidationError as error:

@@ -33,8 +33,8 @@ MEMBERS: tuple[tuple[str, Kind, tuple[str, ...]], ...] = (
     ("action", "action", ("Goal", "Result", "Feedback")),
 )
 
-# Of all texts in one response: 4000 types of average length, or 380 of the longest. Without a limit, a
-# client that advertises thousands of topics would make every response expensive for everybody.
+# All texts in one response: 4000 types of average length, or 380 of the longest. Without a limit, a client that
+# advertises thousands of topics would make every response expensive for everybody.
 MAX_TEXTS_CHARACTERS = 4 << 20
 
 # Names of nodes that are kept as ROS spells them: far more than clients connect.
@@ -46,7 +46,7 @@ MAX_PARAMETERS = 10_000
 # Value of a missing parameter, of a request without a default. Clients read every value as JSON.
 NO_PARAMETER = "null"
 
-# What rosapi's answers about parameters tell since 2025.
+# Fields of rosapi's answers about parameters since 2025.
 DONE = {"successful": True, "reason": ""}
 
 # Names and values of all parameters together: a robot's description and the settings of all its controllers.
@@ -221,7 +221,7 @@ class Parameters:
         return DONE
 
     def _get_param(self, request: Request) -> dict[str, Any]:
-        """Return a parameter, or the default of the request; what there is not is JSON text too, as in rosapi."""
+        """Return a parameter, or the default of the request; a missing value is JSON text too, as in rosapi."""
         name, default = _parameter_name(request), request.values["default_value"]
         value = self._values.get(name)
         if value is not None:

@@ -14,11 +14,11 @@ from server.access.one_time_tokens import VALID_FOR_S, OneTimeTokens
 from server.access.rate_limits import RateLimiter
 from server.access.settings import AccessSettings
 from server.execution.queue import RunningGoal
+from server.graph.actions import CANCEL_SERVICE
 from server.graph.permissions import CANCELLING, GOAL, LOOKING, WORKING, Identity, NameFilter, Node, Role, Rule
 from server.graph.topics import Graph
 
-# Suffixes of the names by which actions are cancelled and, as actionlib's topics, sent.
-CANCEL_SERVICE = "/_action/cancel_goal"
+# Ends of the names of actionlib's topics by which actions are sent and cancelled.
 ACTIONLIB_GOAL, ACTIONLIB_CANCEL = "/goal", "/cancel"
 ACTIONLIB_CANCEL_TYPE = "actionlib_msgs/msg/GoalID"
 
@@ -35,7 +35,7 @@ _NO_TOKEN = (
     f"field token: invalid token; a one-time token lets one connection in, within {VALID_FOR_S:g} s after it was issued"
 )
 
-_WHAT_TO_SHOW = {
+_TOKENS_OF_ROLE = {
     Role.VIEW: "a token",
     Role.PROPOSE: "a token of access.propose_tokens, access.operate_tokens or access.admin_tokens",
     Role.OPERATE: "a token of access.operate_tokens or access.admin_tokens",
@@ -200,7 +200,7 @@ class Authorizer:
             has = "none" if identity is None else identity.role.name.lower()
             return (
                 f"{kind} {name}: needs the role {rule.role.name.lower()}, this client has {has}; "
-                f"show {_WHAT_TO_SHOW[rule.role]}"
+                f"show {_TOKENS_OF_ROLE[rule.role]}"
             )
         names = self._access.topics if kind == "topic" else self._access.services
         return None if rule.stops else names.refusal(kind, name)

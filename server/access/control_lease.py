@@ -54,7 +54,7 @@ class ControlLease:
         self._release_service = f"{namespace}{RELEASE_SERVICE}"
         self.holder: Node | None = None
         self.since_s = 0.0
-        self.watchers: list[Callable[[], None]] = []  # called whenever :meth:`sentence` is another one
+        self.watchers: list[Callable[[], None]] = []  # called whenever :meth:`sentence` changes
         self._idle_limit_s = idle_s
         self._wall_clock = wall_clock
         self._heard_s = 0.0
@@ -155,14 +155,14 @@ class ControlLease:
         if goal is None:
             running, left = "", f"asks for nothing for another {math.ceil(self.free_in_s(now_s))} s"
         else:
-            running = f", and {self._what_runs(goal)}"
+            running = f", and {self._describe(goal)}"
             left = f"has asked for nothing for {self._idle_limit_s:g} s after the last goal"
         return (
             f"{holder} has controlled {self.title} since {_time_of_day(self.since_s)}{running}; it is free when that "
             f"client leaves, calls {self._release_service}, or {left} {idle}"
         )
 
-    def _what_runs(self, goal: RunningGoal) -> str:
+    def _describe(self, goal: RunningGoal) -> str:
         behind = f", and {goal.waiting} more wait behind it" if goal.waiting else ""
         if goal.remaining_s is None:
             return f"{goal.title} is worked on, whose motion has not begun{behind}"

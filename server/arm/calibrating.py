@@ -45,7 +45,7 @@ class CalibrationProcedure:
         served: ServedArm,
         file: tuple[Path, bool],
         end_goals: Callable[[str], None],
-        start_anew: Callable[[Recalibrated], None],
+        start_again: Callable[[Recalibrated], None],
     ) -> None:
         description = served.description
         self._file, self._in_use = file
@@ -57,7 +57,7 @@ class CalibrationProcedure:
         offsets_rad = served.settings.zero_offset_rad
         self._trims_rad = {served.prefix + joint: offset_rad for joint, offset_rad in offsets_rad.items()}
         self._end_goals = end_goals
-        self._start_anew = start_anew
+        self._start_again = start_again
         self._offsets = {joint.servo_id: joint.homing_offset for joint in self._present.joints}
         self._swept_from: Mapping[int, int] | None = None
         self._session = CalibrationSession(description.hardware.servos, asked_motions(description.robot), recentre=True)
@@ -89,7 +89,7 @@ class CalibrationProcedure:
         )
         dialogue.findings = [*session.findings]
         position_rad = self._positions_rad(session.calibration.with_zero_offsets(self._trims_rad))
-        self._start_anew(
+        self._start_again(
             Recalibrated(self._served.name, self._file, position_rad, Ended(result, tuple(dialogue.findings)))
         )
         return result

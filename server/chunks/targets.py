@@ -31,7 +31,7 @@ ACCELERATION_SHARE = 0.7
 CLOSING_S = 0.06
 CLOSING_SHARE = 0.5
 
-# The arm brakes towards the last target so much earlier than a joint at full braking would have to [s].
+# Time by which the arm begins to brake earlier than a joint at full braking would have to [s].
 BRAKES_EARLIER_S = 0.04
 BRAKING_SHARE = 0.75
 

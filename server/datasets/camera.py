@@ -192,7 +192,7 @@ IMAGE_TYPE = "sensor_msgs/CompressedImage"
 # A server that does not take an image within this time has left without a word.
 TAKEN_TIMEOUT_S = 10.0
 
-# A camera that is silent is looked at again so often.
+# Interval of looking at a silent camera again [s].
 LOOK_PERIOD_S = 1.0
 
 

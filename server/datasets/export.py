@@ -35,7 +35,7 @@ from server.datasets.samples import (
 from server.errors import ServerError
 from server.recording.reading import messages
 
-# The end of an image topic's name says how it is sent, not which camera it is.
+# Parts of an image topic's name that are about its transport, not about its camera.
 _TRANSPORT = frozenset({"image", "image_raw", "image_color", "image_rect", "compressed", "color", "rgb"})
 
 # Arm, units, calibration and zeros of a dataset; lerobot reads other files.
@@ -182,7 +182,7 @@ def _frames_of(
     for tracks in present:
         with suppress(LeftOutError):
             return frames_of(episode, tracks, options.fps, options.max_gap_s), tracks.action_name
-    # The reason is the first ones'.
+    # The reason for the preferred tracks is the one to report.
     return frames_of(episode, present[0], options.fps, options.max_gap_s), present[0].action_name
 
 

@@ -60,8 +60,8 @@ class EpisodeFrames:
 def frames_of(episode: Episode, tracks: Tracks, fps: int, max_gap_s: float = MAX_GAP_S) -> EpisodeFrames:
     """Return the frames of an episode: the first one where everything has begun, the others at a fixed rate after it.
 
-    A state is interpolated between the two that were measured around the frame. Action and image are the last ones
-    before it: what comes later nobody knew then.
+    A state is interpolated between the measurements before and after the frame. Action and image are the last before
+    it: later ones were not known then.
 
     Raises:
         LeftOutError: something is missing for longer than ``max_gap_s``, or there are fewer than `MIN_FRAMES` frames.

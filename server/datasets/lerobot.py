@@ -238,12 +238,12 @@ def made_file(root: Path, path: str, key: str = "") -> Path:
 def write(root: Path, dataset: Dataset) -> None:
     """Write everything but the videos, which are there already."""
     columns = [_columns(dataset, index) for index in range(len(dataset.episodes))]
-    of_episodes = [{name: statistics_of(values) for name, values in each.items()} for each in columns]
+    features = [{name: statistics_of(values) for name, values in each.items()} for each in columns]
     for key, camera in dataset.cameras.items():
-        for statistics, images in zip(of_episodes, camera.statistics, strict=True):
+        for statistics, images in zip(features, camera.statistics, strict=True):
             statistics[key] = images.result()
     _write_data(root, dataset, columns)
-    _write_episodes(root, dataset, of_episodes)
+    _write_episodes(root, dataset, features)
     whole = {name: statistics_of(np.concatenate([each[name] for each in columns])) for name in columns[0]}
     for key, camera in dataset.cameras.items():
         images = ImageStatistics()

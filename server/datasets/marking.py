@@ -34,10 +34,10 @@ STOP_SERVICE = "/dataset/stop_episode"
 DISCARD_SERVICE = "/dataset/discard_episode"
 STATE, STATE_TYPE = "/dataset/state", "diagnostic_msgs/DiagnosticStatus"
 
-# What this server knows of the episodes is for its answers alone; the recording has them all.
+# Episodes that the server remembers for its answers; the recording has all.
 MAX_KEPT = 10_000
 
-# Published while somebody subscribes, and the arm's states are read at their full rate then.
+# Topics that are published while somebody subscribes; the arm's states are read at their full rate then.
 STATE_TOPIC, COMMANDED_TOPICS = "/joint_states", "_controller/controller_state"
 
 NOT_RECORDED = "nothing is recorded: no --record FILE.mcap, or the file has its limit_mb, or the disk is full"
@@ -48,7 +48,7 @@ MAX_WATCHED = 100
 # Period in which an episode in progress is looked at [s].
 LOOK_PERIOD_S = 0.5
 
-# A camera is late when its images come so long after their stamps [s]: the arm has moved by 0.2 rad at 1 rad/s.
+# A camera is late when its images come later after their stamps [s]: the arm moves 0.2 rad meanwhile at 1 rad/s.
 LATE_S = 0.2
 
 # A camera is uneven when two of its latest images are this multiple of their mean interval apart.
@@ -163,9 +163,9 @@ class EpisodeServices:
                 self._watched.setdefault(topic, Timing(self._clock()))
             commanded = topic.endswith(COMMANDED_TOPICS) and any(not node.remote for node in publishers)
             if topic not in subscribed and (topic in self._watched or commanded):
-                self._graph.subscribe(self._observer, topic, type_name, Subscriber(self._heard))
+                self._graph.subscribe(self._observer, topic, type_name, Subscriber(self._take_timed))
 
-    def _heard(self, published: PublishedMessage) -> None:
+    def _take_timed(self, published: PublishedMessage) -> None:
         if (watched := self._watched.get(published.topic)) is not None:
             stamp, received = published.msg["header"]["stamp"], published.received
             delay_s = received.sec - stamp["sec"] + 1e-9 * (received.nanosec - stamp["nanosec"])

@@ -49,7 +49,7 @@ MAX_CLOCK_ERROR_S = 0.5
 
 
 class JointSample(NamedTuple):
-    """Message with positions of joints; a stamp of 0 s is none."""
+    """Message with positions of joints; the stamp is 0 s where it has none."""
 
     log_s: float
     stamp_s: float
@@ -84,7 +84,7 @@ class Samples:
         return self.limits | self.calibrated
 
     def zeros_rad(self, joints: Sequence[str]) -> dict[str, float]:
-        """Return from where lerobot counts each joint's degrees: the middle of its calibrated range, else 0."""
+        """Return the zero of each joint's degrees in lerobot: the middle of its calibrated range, else 0 [rad]."""
         return {name: sum(self.calibrated.get(name, (0.0, 0.0))) / 2.0 for name in joints}
 
 
@@ -156,8 +156,8 @@ def _stamp_s(values: dict[str, Any]) -> float:
 def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
     """Return the times of a topic's messages on the axis of the recording [s].
 
-    Stamps, 0 for none, are even where the time of recording has the jitter of a network. The clock of who stamps may be
-    another one: its difference, the median over the topic, is taken off.
+    Stamps, 0 for none, are even where the time of recording has the jitter of a network. They may be from another
+    clock: its offset, the median over the topic, is subtracted.
     """
     logged, stamped = np.asarray(log_s, dtype=np.float64), np.asarray(stamp_s, dtype=np.float64)
     if not logged.size or np.any(stamped == 0.0):
@@ -170,14 +170,14 @@ def times_s(log_s: Sequence[float], stamp_s: Sequence[float]) -> Times:
 
 
 def interventions(samples: Samples, at_s: Times) -> NDArray[np.bool_] | None:
-    """Return True for each time [s since the epoch] at which a person had an arm taken over; None without a policy."""
-    of_arms = [phases for phases in samples.phases.values() if any(phase != PolicyPhase.IDLE for _, phase in phases)]
+    """Return True for each time [s since the epoch] at which a person had taken over; None without a policy."""
+    policies = [phases for phases in samples.phases.values() if any(phase != PolicyPhase.IDLE for _, phase in phases)]
     result = np.zeros(len(at_s), dtype=np.bool_)
-    for phases in of_arms:
+    for phases in policies:
         began_s = [-np.inf, *(log_s for log_s, _ in phases)]
         taken_over = np.array([False, *(phase == PolicyPhase.TAKEN_OVER for _, phase in phases)])
         result |= taken_over[np.searchsorted(began_s, at_s, side="right") - 1]
-    return result if of_arms else None
+    return result if policies else None
 
 
 def merged(topics: Sequence[Sequence[JointSample]]) -> list[JointSample]:

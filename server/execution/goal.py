@@ -266,7 +266,7 @@ class GoalRequest:
 
     source: str  # topic or action of its client
     motion: Motion | None = None  # None for a request that is rejected
-    # The message of its client; empty when there is none, or none that can be read.
+    # The message of its client; empty without one, and for a message that cannot be read.
     message: Mapping[str, Any] = field(default_factory=dict)
     client: object = ""  # its client, who is named to those who wait for the goal's end; empty when it is unknown
     policy: GoalPolicy | None = None  # None for the queue's own policy

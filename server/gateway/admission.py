@@ -13,12 +13,11 @@ import math
 import re
 import socket
 import struct
-import time
 from collections import OrderedDict
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from functools import cached_property, partial
+from functools import cached_property
 from http import HTTPStatus
 from ipaddress import IPv4Address, IPv6Address
 from typing import NamedTuple
@@ -29,13 +28,12 @@ from websockets.datastructures import Headers
 from protocol.errors import one_line, shorten
 from robot.logs import LogLimiter
 from server.access.authentication import AuthThrottle, Tokens
-from server.access.one_time_tokens import OneTimeTokens
+from server.access.authorization import Access
 from server.access.rate_limits import RateLimiter, client_key, is_loopback, parse_address
-from server.access.settings import AccessSettings
 from server.errors import ConfigurationError
 from server.gateway.http import HttpResponse, query_of
 from server.gateway.settings import ServerSettings
-from server.graph.permissions import ANYONE, Identity, Role
+from server.graph.permissions import Identity, Role
 
 log = logging.getLogger("armbridge.gateway")
 
@@ -61,16 +59,16 @@ def host_addresses() -> Sequence[str]:
 # Connections at once from an address: as many as the rate allows in this time [s].
 BURST_TIME_S = 10
 
-# Refused connections are answered with the reason while they are few: an answer costs a handshake, and a flood gets
-# none. Each is open for 11 s at most, and so 120 of them.
+# Refused connections that are answered with the reason: an answer costs a handshake, so a flood gets no answers. Each
+# is open for 11 s at most, which makes 120 of them [1/s].
 ANSWERS_PER_S = 10
 
-# Addresses without a connection that are remembered, for their rate.
+# Addresses without a connection whose rate is remembered.
 MAX_ABSENT = 10_000
 
 RETRY_AFTER_S = 5
 
-# Of fewer clients than the settings allow, what one address may have: as the settings' defaults divide them.
+# Share of one address where fewer clients are served than the settings allow: as in the settings' defaults.
 SHARE_OF_ADDRESS = 0.8
 
 
@@ -274,21 +272,10 @@ class HandshakeRequest(NamedTuple):
 class AdmissionPolicy:
     """Checks each request by host, origin and token before anything else is done for it."""
 
-    def __init__(
-        self,
-        tokens: Tokens | None = None,
-        settings: AccessSettings | None = None,
-        clock: Callable[[], float] = time.monotonic,
-        one_time_tokens: OneTimeTokens | None = None,
-        classroom_ports: Collection[int] = (),
-    ) -> None:
-        settings = settings or AccessSettings()
-        self._one_time_tokens = one_time_tokens or OneTimeTokens(clock)
-        self.auth_throttle = AuthThrottle(clock)
-        self._tokens = tokens or Tokens({}, ANYONE)
+    def __init__(self, access: Access, classroom_ports: Collection[int] = ()) -> None:
+        self.auth_throttle = AuthThrottle(access.clock)
+        self._access, self._classroom_ports = access, classroom_ports
         self._own_names = own_names()
-        self._allowed_hosts = settings.allowed_hosts
-        self._may_connect = partial(may_connect, allowed=settings.allowed_origins, classroom_ports=classroom_ports)
         self._log = LogLimiter()
 
     def check(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
@@ -314,7 +301,7 @@ class AdmissionPolicy:
         if len(named) != 1:
             return HttpResponse.of_text(HTTPStatus.BAD_REQUEST, f"a request needs one Host header, not {len(named)}")
         host = read_authority(named[0])
-        if host is not None and is_server(host, self._own_names, self._allowed_hosts):
+        if host is not None and is_server(host, self._own_names, self._access.settings.allowed_hosts):
             return host
         shown = one_line(shorten(named[0]))
         return self._refuse(
@@ -326,8 +313,9 @@ class AdmissionPolicy:
         )
 
     def _foreign(self, request: HandshakeRequest, host: Authority) -> HttpResponse | None:
+        allowed, ports = self._access.settings.allowed_origins, self._classroom_ports
         for origin in request.headers.get_all("Origin"):
-            if not self._may_connect(origin, host, encrypted=request.encrypted):
+            if not may_connect(origin, host, allowed, ports, encrypted=request.encrypted):
                 shown = one_line(shorten(origin))
                 sentence = (
                     f"pages of the origin {shown!r} may not connect; to let them, set"
@@ -337,10 +325,10 @@ class AdmissionPolicy:
         return None
 
     def _identity(self, request: HandshakeRequest) -> Identity | HttpResponse | None:
-        presented = _tokens(request)
+        presented, tokens = _presented_tokens(request), self._access.tokens
         # A server without tokens has no use for one.
-        if not presented or not self._tokens.any:
-            return self._tokens.anonymous
+        if not presented or not tokens.any:
+            return tokens.anonymous
         if len(presented) > 1:
             return _unauthorized(f"one token is wanted, not {len(presented)}")
         wait = self.auth_throttle.refusal(request.address)
@@ -349,14 +337,14 @@ class AdmissionPolicy:
             retry = {"Retry-After": str(math.ceil(self.auth_throttle.wait_s(request.address)))}
             return HttpResponse.of_text(HTTPStatus.TOO_MANY_REQUESTS, wait, retry)
         token = presented.pop()
-        owner = self._tokens.identify(token)
+        owner = tokens.identify(token)
         if owner is None and not request.upgrade:
             # The page that came in with a one-time token asks for the robot's meshes with it.
-            owner = self._one_time_tokens.reader(token)
+            owner = self._access.one_time_tokens.reader(token)
         if owner is None:
             self.auth_throttle.record_failure(request.address, token)
-            self._log_refusal("token", request.address, f"{request.address} has shown a token that is nobody's")
-            return _unauthorized("this token is nobody's")
+            self._log_refusal("token", request.address, f"{request.address} has shown an invalid token")
+            return _unauthorized("invalid token")
         return owner
 
     def _refuse(self, status: HTTPStatus, kind: str, value: str, sentence: str) -> HttpResponse:
@@ -413,7 +401,7 @@ def _unauthorized(sentence: str) -> HttpResponse:
     return HttpResponse.of_text(HTTPStatus.UNAUTHORIZED, sentence, {"WWW-Authenticate": "Bearer"})
 
 
-def _tokens(request: HandshakeRequest) -> set[str]:
+def _presented_tokens(request: HandshakeRequest) -> set[str]:
     lines = request.headers.get_all("Authorization")
     in_header = [line[len(_BEARER) :].strip() for line in lines if line[: len(_BEARER)].lower() == _BEARER]
     return {*in_header, *query_of(request.path).get("token", [])}

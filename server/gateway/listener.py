@@ -235,12 +235,7 @@ class Listener:
         self.port = settings.port
         self._http = http or HttpHandler()
         self._access = access or unlimited()
-        self.admission = AdmissionPolicy(
-            self._access.tokens,
-            self._access.settings,
-            one_time_tokens=self._access.one_time_tokens,
-            classroom_ports=settings.classroom.values(),
-        )
+        self.admission = AdmissionPolicy(self._access, settings.classroom.values())
         pair = settings.tls_certificate, settings.tls_key
         self._tls = None if pair[0] is None or pair[1] is None else Tls(pair[0], pair[1])
         self._limiter = ConnectionLimiter(settings)

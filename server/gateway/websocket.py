@@ -94,8 +94,7 @@ def read_request(data: bytes) -> tuple[Request, int] | None:
 # Clients send their request at once; a slow one only holds the connection (slow loris).
 REQUEST_TIMEOUT_S = 10.0
 
-# Time for an answer over HTTP to be read. The largest mesh, 20 MB, takes so long at 170 kB/s, over a poor wireless
-# link.
+# Time for an answer over HTTP to be read, as the largest mesh of 20 MB is at 170 kB/s over a poor wireless link.
 ANSWER_TIMEOUT_S = 120.0
 
 # A message up to this many times the limit is still read, to be refused by the session while the connection lives on;
@@ -410,7 +409,7 @@ class WebSocket(Transport):
             self._close_after_replies()
 
     def _protocol_failure(self) -> ConnectionError | None:
-        """Return the reason of the end of an open WebSocket; None where both sides have said goodbye."""
+        """Return the reason of the end of an open WebSocket; None where both sides have sent a close frame."""
         self._protocol.receive_eof()
         closed = self._protocol.close_exc
         if isinstance(closed, ConnectionClosedOK):
@@ -442,7 +441,7 @@ class WebSocket(Transport):
             self.abort()
 
     def leave(self) -> None:
-        """Say goodbye (1001) as the server stops; who has not sent its request yet is not waited for."""
+        """Close with 1001 (going away) as the server stops; a client that has sent no request yet is not waited for."""
         if self._opened:
             self.end("", CloseCode.GOING_AWAY)
         elif self._task is None:

@@ -30,7 +30,9 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("armbridge.graph")
 
-STATUS, FEEDBACK = "/_action/status", "/_action/feedback"
+# Between the name of an action and the names of its services and topics (rcl_action, names.c).
+ACTION_PARTS = "/_action/"
+STATUS, FEEDBACK, CANCEL_SERVICE = (f"{ACTION_PARTS}{part}" for part in ("status", "feedback", "cancel_goal"))
 STATUS_TYPE = "action_msgs/msg/GoalStatusArray"
 
 # rcl_action's default result_timeout: time for which the status of an ended goal is still published [s].
@@ -172,7 +174,7 @@ class Actions(Providers[ActionGoal]):
         """
         offer = self._claim(node, name, type_name, start, max_goal_s, limits)
         self._services.offer(
-            node, _cancel_service(name), "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
+            node, name + CANCEL_SERVICE, "action_msgs/srv/CancelGoal", lambda request: _cancel(offer, request)
         )
         self._add(offer, rule)
         self._published[name] = {}
@@ -252,7 +254,7 @@ class Actions(Providers[ActionGoal]):
         return offer
 
     def _end_requests(self, offer: Provider[ActionGoal]) -> None:
-        self._services.withdraw(offer.node, _cancel_service(offer.name))
+        self._services.withdraw(offer.node, offer.name + CANCEL_SERVICE)
         super()._end_requests(offer)
         del self._published[offer.name]
         for topic in (STATUS, FEEDBACK):
@@ -285,10 +287,6 @@ class Actions(Providers[ActionGoal]):
     def _is_open(self, node: Node, topic: str, type_name: str) -> bool:
         """Return True for a topic of the node's action; a client that offers one may have made its own of this name."""
         return self._topics.topic_type(topic) == type_name and node in self._topics.publishers(topic)
-
-
-def _cancel_service(action: str) -> str:
-    return f"{action}/_action/cancel_goal"
 
 
 def _cancel(offer: Provider[ActionGoal], request: dict[str, Any]) -> dict[str, Any]:

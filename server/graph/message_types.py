@@ -63,7 +63,7 @@ class ReceivedMessage:
 
 
 class PostponedError(Exception):
-    """A message of a client takes longer to complete than everybody may be kept waiting; nothing has been done yet."""
+    """A client's message would take too long to complete in the event loop; nothing has been done with it yet."""
 
     def __init__(self, message: ReceivedMessage, type_name: str) -> None:
         super().__init__(f"a message of type {type_name} must be completed in the background")
@@ -92,7 +92,7 @@ class MessageTypes:
             return f"{parts[0]}/{kind}/{parts[-1]}"
 
     def now(self) -> Stamp:
-        """Return the time of receipt of what comes now."""
+        """Return the present time, as the time of receipt of a message."""
         return Stamp.from_seconds(self.wall_clock())
 
     def complete(

@@ -123,7 +123,7 @@ class Providers(Generic[AnyRequest]):
         return [offer.name for offer in self._by_node.of(node)]
 
     def withdraw(self, node: Node, name: str) -> None:
-        """End an offer of this node, and the requests on their way; nothing happens when it offers no such thing."""
+        """End an offer of this node, and the requests on their way; nothing happens where it is not this node's."""
         offer = self._offers.get(name)
         if offer is not None and offer.node is node:
             self._remove(offer)

@@ -91,7 +91,7 @@ class FaultFiles:
         # In a thread, as it takes some milliseconds.
         def content() -> bytes:
             options = orjson.OPT_APPEND_NEWLINE | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
-            # A number that is none, or infinite, is null. A named tuple, as of a warning, is left to us.
+            # NaN and infinity become null. Named tuples, as of a warning, become lists by ``default``.
             return b"".join(orjson.dumps(line, default=list, option=options) for line in lines)
 
         try:
@@ -99,7 +99,7 @@ class FaultFiles:
         except OSError as error:
             log.warning("the file about this fault cannot be written to %s: %s", self._directory, error)
         else:
-            log.info("the last minute before the fault is in %s; armbridge report takes it along", self.latest)
+            log.info("the last minute before the fault is in %s, which armbridge report includes", self.latest)
 
     def _lines(self, about: dict[str, str], state: ArmState) -> Iterator[dict[str, Any]]:
         time_text = datetime.fromtimestamp(state.stamp_s, UTC).isoformat(timespec="milliseconds")

@@ -46,7 +46,6 @@ class LogRing:
             return [line for line in self._lines if line.monotonic_s >= from_s]
 
     def offer(self, graph: Graph) -> None:
-
         def serve(_request: dict[str, Any]) -> dict[str, Any]:
             return {"success": True, "message": "\n".join(map(shown, self.since(0.0)))}
 

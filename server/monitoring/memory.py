@@ -26,8 +26,8 @@ SWITCH_INTERVAL_S = 0.001
 # 700 objects: 30,000 objects, which take 5 ms (a million took 141 ms).
 THRESHOLDS = (700, 10, 3)
 
-# What outlives a longer full collection is left out of those that follow, so each object is gone through once. Of a
-# million that came one after the other, in collections of twice that size, the longest took 16 ms instead of 190 ms.
+# Objects that outlive a longer full collection are left out of later ones, so that each object is gone through once.
+# With a million objects made one after the other, the longest collection took 16 ms instead of 190 ms.
 FREEZE_ABOVE_S = 0.002
 
 # Objects that were left out may have become garbage in cycles; a collection of all is made no more often than this.
@@ -35,7 +35,7 @@ FULL_COLLECTION_PERIOD_S = 600.0
 
 CHECK_PERIOD_S = 1.0
 
-# Resident memory above that after the start from which on a trim is worth while.
+# Least growth of the resident memory since the start that is worth a trim.
 EXCESS_BYTES = 16 << 20
 
 # A trim takes 0.2 ms a megabyte that it gives back, and until it is done nobody else gets memory.
@@ -59,7 +59,7 @@ class CollectorPolicy:
         self.overdue = False  # true when objects were left out of collections since the last collection of all
 
     def start(self) -> None:
-        """Collect, leave what lives as long as the server out of all that follow, and watch these."""
+        """Collect, leave objects that live as long as the server out of later collections, and watch these."""
         self.collect_all()
         self._before = gc.get_threshold()
         gc.set_threshold(*THRESHOLDS)
@@ -101,9 +101,9 @@ def trim_heap() -> None:
 
 
 class MemoryKeeper:
-    """Gives memory back while nothing moves that a pause would matter to.
+    """Gives memory back while no motion could be delayed by a pause.
 
-    The C library keeps what a burst of large messages took, unless it happens to be the last of its heap.
+    The C library keeps the memory of a burst of large messages, unless it happens to be the last of its heap.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Monitor of the server: HTTP routes for health and metrics, and a watch on its event loop that systemd hears of.
+"""Monitor of the server: HTTP routes for health and metrics, and a watch on its event loop for systemd.
 
 Metrics are Prometheus': counters, and values read from the server's parts and processes at a scrape.
 """
@@ -117,10 +117,10 @@ def _by_label(
     label: str,
     values: Iterable[tuple[str, float]],
 ) -> Metric:
-    made = family(name, meaning, labels=(label,))
-    for of_label, value in values:
-        made.add_metric((of_label,), value)
-    return made
+    metric = family(name, meaning, labels=(label,))
+    for label_value, value in values:
+        metric.add_metric((label_value,), value)
+    return metric
 
 
 def figures(sources: Sources) -> Iterator[Metric]:

@@ -121,15 +121,15 @@ def _percentiles_ms(values_s: Sequence[float]) -> str:
 
 def _joint_status(joint: JointHealth, health: ArmHealth, fault: Fault | None, *, stale: bool) -> dict[str, Any]:
     level, message = LEVEL_OK, "no complaints"
-    of_joint = fault if fault is not None and fault.joint == joint.joint else None
+    own_fault = fault if fault is not None and fault.joint == joint.joint else None
     warnings = [warning.sentence for warning in joint.warnings]
-    if of_joint is not None:
+    if own_fault is not None:
         level, message = LEVEL_ERROR, "; ".join(("the arm's fault is about this joint", *warnings))
     elif stale or joint.age_s > SERVO_STALE_AFTER_S:
         level, message = LEVEL_STALE, "; ".join(warnings) or "the servo is not being read"
     elif warnings:
         level, message = LEVEL_WARN, "; ".join(warnings)
-    values = _joint_values(joint) | _story(joint, health, of_joint)
+    values = _joint_values(joint) | _register_values(joint, health, own_fault)
     return diagnostic_status(level, f"{JOINT_PREFIX}{joint.joint}", message, values, joint.hardware_id)
 
 
@@ -151,16 +151,16 @@ def _joint_values(joint: JointHealth) -> dict[str, str]:
     }
 
 
-def _story(joint: JointHealth, health: ArmHealth, fault: Fault | None) -> dict[str, str]:
+def _register_values(joint: JointHealth, health: ArmHealth, fault: Fault | None) -> dict[str, str]:
     """Return the servo's registers, its errors by kind, and what to do about these and its warnings."""
     values = {f"register/{name}": str(value) for name, value in joint.registers.items()}
     values |= {f"expected/{name}": str(value) for name, value in joint.expected.items()}
     errors = {"silent_cycles": joint.silent_cycles, **joint.errors}
     values |= {f"error/{kind}": str(count) for kind, count in errors.items()}
     advice = [] if fault is None else [str(fault)]
-    # The fault's own remedy stands in it already.
-    of_fault = {alert for alert, each in ADVICE.items() if fault is not None and each.do is fault.code}
-    others = [alert for alert in _alerts(joint, health) if alert not in of_fault]
+    # The fault's sentence has its own remedy already.
+    advised = {alert for alert, each in ADVICE.items() if fault is not None and each.do is fault.code}
+    others = [alert for alert in _alerts(joint, health) if alert not in advised]
     advice += advise(others, simulated=health.port in SIMULATED_PORTS)
     if advice:
         values["advice"] = "\n".join(advice)

@@ -24,10 +24,10 @@ BYTES_PER_MB = 1_000_000
 MAX_QUEUED_MESSAGES = 20_000
 MAX_QUEUED_BYTES = 33_554_432
 
-# Polling so often costs nothing; waking the thread for each message would cost the event loop more.
+# Polling at this period costs nothing; waking the thread for each message would cost the event loop more.
 POLL_PERIOD_S = 0.05
 
-# A process that is killed loses at most so much of the recording.
+# The last seconds of a recording that a killed process may lose.
 FLUSH_PERIOD_S = 1.0
 
 # Both threads share one interpreter: after this number of messages, some 20 us each, the event loop gets it.

@@ -13,7 +13,7 @@ from server.lifecycle import end_task
 from server.moveit.actions.gripper import Gripper
 from server.teleop.following import TrackingLimits, tracking_velocity
 
-# Once it has gripped, or another client has moved it, the gripper follows again when its lead has gone so far [rad].
+# Distance of its lead after which a gripper that has gripped, or was moved by another client, follows again [rad].
 STEP_RAD = 0.02
 
 # Period in which it looks for that [s].

@@ -103,7 +103,7 @@ class JitterBuffer:
         return jump
 
     def clear(self) -> None:
-        """Forget all samples: what comes next is no continuation."""
+        """Forget all samples: the next one does not continue them."""
         self._samples.clear()
         self._transits.clear()
         self._arrived_s, self._jump = -math.inf, ""

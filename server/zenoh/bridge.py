@@ -11,9 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 import zenoh
 
 from server.access.authorization import Access, Authorizer, rule_of_service, rule_of_topic
+from server.graph.actions import ACTION_PARTS
 from server.graph.permissions import Identity, Node, Role
 from server.graph.topics import Graph
-from server.zenoh.network import ACTION_PARTS, Network, SharedNames
+from server.zenoh.network import Network, SharedNames
 from server.zenoh.rmw import ADMIN_SPACE, Entity, EntityKind, LivelinessTokens
 from server.zenoh.services import CalledServices, OfferedServices
 from server.zenoh.session import SessionThread

@@ -19,6 +19,7 @@ from protocol.errors import InterfaceError
 from protocol.registry import Registry
 from robot.logs import LogLimiter
 from server.errors import GraphError
+from server.graph.actions import ACTION_PARTS
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.permissions import Node
 from server.graph.topics import Graph
@@ -31,10 +32,7 @@ SharedKind: TypeAlias = Literal["msg", "srv"]
 
 Decoded = TypeVar("Decoded")
 Wanted = TypeVar("Wanted")
-Thing = TypeVar("Thing", bound="Closable")
-
-# Between the name of an action and the names of its services and topics (rcl_action, names.c).
-ACTION_PARTS = "/_action/"
+Shared = TypeVar("Shared", bound="Closable")
 
 _HASHES: Mapping[SharedKind, Callable[[Registry, str], str]] = {
     "msg": type_descriptions.message_hash,
@@ -44,7 +42,7 @@ _HASHES: Mapping[SharedKind, Callable[[Registry, str], str]] = {
 # Warnings that are logged: a machine that invents names must not fill the log.
 MAX_WARNINGS = 200
 
-# Shared things of one kind, such as topics that come in: more than a large robot has.
+# Shared names of one kind, such as topics that come in: more than a large robot has.
 MAX_SHARED = 1_000
 
 
@@ -210,20 +208,20 @@ class Closable(Protocol):
         """Share it no longer."""
 
 
-class SharedThings(Generic[Wanted, Thing]):
-    """Things of one kind that are shared, by name; each with the request that it was made for."""
+class SharedEndpoints(Generic[Wanted, Shared]):
+    """Topics or services that are shared in one direction, by name, each with the request that it was made for."""
 
-    def __init__(self, network: Network, make: Callable[[str, Wanted], Thing]) -> None:
+    def __init__(self, network: Network, make: Callable[[str, Wanted], Shared]) -> None:
         self._network = network
         self._make = make
-        self._made: dict[str, tuple[Wanted, Thing]] = {}
+        self._made: dict[str, tuple[Wanted, Shared]] = {}
 
     def follow(self, wanted: Mapping[str, Wanted]) -> None:
-        """Share the wanted things and no others; a changed wish is a new thing."""
-        for name, (former, thing) in list(self._made.items()):
+        """Share the wanted names and no others; a name whose request has changed is closed and shared again."""
+        for name, (former, shared) in list(self._made.items()):
             if wanted.get(name) != former:
                 del self._made[name]
-                thing.close()
+                shared.close()
         for name, each in wanted.items():
             if name not in self._made and len(self._made) < MAX_SHARED:
                 try:
@@ -231,5 +229,5 @@ class SharedThings(Generic[Wanted, Thing]):
                 except GraphError as error:
                     self._network.warn(f"{name} is not shared: {error}")
 
-    def is_shared(self, name: str, thing: Thing) -> bool:
-        return name in self._made and self._made[name][1] is thing
+    def is_shared(self, name: str, shared: Shared) -> bool:
+        return name in self._made and self._made[name][1] is shared

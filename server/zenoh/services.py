@@ -23,13 +23,13 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer, rule_of_service
 from server.arrival import arrived_in
 from server.errors import NoAnswerError, ServiceError
-from server.graph.actions import ENDED_KEPT_S, MAX_GOAL_S, ActionGoal, GoalStatus, Result
+from server.graph.actions import ACTION_PARTS, ENDED_KEPT_S, MAX_GOAL_S, ActionGoal, GoalStatus, Result
 from server.graph.message_types import ReceivedMessage
 from server.graph.providers import CompleteResponse
 from server.graph.services import LOCAL_TIMEOUT_S, Response, answer
 from server.moveit.messages import error_code
 from server.timers import call_in_loop
-from server.zenoh.network import ACTION_PARTS, Declared, Network, SharedNames, SharedThings
+from server.zenoh.network import Declared, Network, SharedEndpoints, SharedNames
 from server.zenoh.rmw import GID_BYTES, Attachment, Endpoint, Entity, EntityKind, gid_of
 from server.zenoh.session import ReceiveQueue
 
@@ -227,7 +227,7 @@ class CalledServices:
         self._network = network
         self._names = names
         # An action by its service send_goal.
-        self._services = SharedThings(network, self._make)
+        self._services = SharedEndpoints(network, self._make)
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
         """Let clients call the services that exist now, and no others."""
@@ -421,7 +421,7 @@ class OfferedServices:
         self._network = network
         self._names = names
         self._authorizer = authorizer
-        self._services = SharedThings(network, functools.partial(OfferedService, network, self._receive))
+        self._services = SharedEndpoints(network, functools.partial(OfferedService, network, self._receive))
         self._goals = OfferedGoals(network, authorizer)
         self._lock = threading.Lock()
         self._in_progress = 0

@@ -19,9 +19,10 @@ from robot.stop_epochs import STOP_EPOCHS
 from server.access.authorization import Authorizer, rule_of_topic
 from server.arrival import arrived_in
 from server.errors import GraphError
+from server.graph.actions import ACTION_PARTS
 from server.graph.message_types import BYTES_AT_ONCE, ReceivedMessage
 from server.graph.topics import Subscriber
-from server.zenoh.network import ACTION_PARTS, Declared, Network, SharedNames, SharedThings
+from server.zenoh.network import Declared, Network, SharedEndpoints, SharedNames
 from server.zenoh.rmw import Attachment, Endpoint, Entity, EntityKind, gid_of, is_name
 from server.zenoh.session import ReceiveQueue
 
@@ -100,7 +101,7 @@ class OutgoingTopics:
     def __init__(self, network: Network, names: SharedNames) -> None:
         self._network = network
         self._names = names
-        self._topics = SharedThings(network, functools.partial(OutgoingTopic, network))
+        self._topics = SharedEndpoints(network, functools.partial(OutgoingTopic, network))
 
     def refresh(self, foreign: frozenset[str]) -> None:
         """Publish the topics that exist now, and no others."""
@@ -198,7 +199,7 @@ class IncomingTopics:
         self._names = names
         self._authorizer = authorizer
         self.received = ReceiveQueue[IncomingMessage](network.loop, self._publish)
-        self._topics = SharedThings(network, functools.partial(IncomingTopic, network, self.received))
+        self._topics = SharedEndpoints(network, functools.partial(IncomingTopic, network, self.received))
 
     def refresh(self, entities: tuple[Entity, ...]) -> None:
         """Subscribe to the topics that exist now, and to no others."""

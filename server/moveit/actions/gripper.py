@@ -49,7 +49,7 @@ FETCH_ACTION = "/gripper_controller/gripper_action"
 PARALLEL_ACTION = "/parallel_gripper_controller/gripper_cmd"
 ACTIONS = (GRIPPER_ACTION, FETCH_ACTION, PARALLEL_ACTION)
 
-# A URDF's limit lies so far beyond the soft limit; a command for it means the soft limit.
+# Distance by which a URDF's limit may lie beyond the soft limit; a command for it means the soft limit.
 CLAMPED_WITHIN_RAD, CLAMPED_WITHIN_M = 0.05, 0.005
 
 # Positions of two fingers that a client means to be the same may differ by its rounding [rad or m].

@@ -33,11 +33,11 @@ GOAL_TIME_S = 0.004
 # Few goals have time for the nearest point as well, where a gizmo out of reach is drawn; 20 times a second is smooth.
 MIN_CALL_S = 0.04
 
-# The way to the planner and back comes on top, and shorter checks than this find nothing.
+# The way to the planner and back takes time as well, and checks shorter than the least find nothing.
 WAY_S = 0.002
 MIN_CHECK_S = 0.003
 
-# Other calls ask the planners too; a call that has waited so long for its turns is answered with what it has.
+# Other calls ask the planners too: after waiting for its turns this long, a call is answered with the results so far.
 WAITING_S = 2.0
 
 NOT_CHECKED = PlanningFailure(

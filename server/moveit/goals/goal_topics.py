@@ -411,7 +411,7 @@ class GoalTopics:
         self._node.subscribe(topic, type_name, deliver, reject_invalid, reject_unauthorized, rule=GOAL)
 
     def _select_group(self, published: PublishedMessage) -> None:
-        """Choose the group of goals to come; publish the present one after a name that is none."""
+        """Choose the group of later goals; publish the present group again after an unknown name."""
         if published.publisher is self._node:
             return
         try:

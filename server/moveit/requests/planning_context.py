@@ -74,7 +74,7 @@ def state_positions(message: Message, current_rad: Mapping[str, float] | None, r
         if joint.name not in positions:
             raise refused(
                 MoveItErrorCode.ROBOT_STATE_STALE,
-                f"the state leaves out joint {joint.name!r}, and where it is now is not known: the arm is not read",
+                f"the state leaves out joint {joint.name!r}, whose position is unknown: the arm is not connected",
                 joint=joint.name,
             )
     return {joint.name: positions[joint.name] for joint in robot.movable_joints}

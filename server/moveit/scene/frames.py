@@ -25,7 +25,7 @@ WORLD = "world"
 # Looking up OBJECT/SUBFRAME takes time by the square of the length; real names are far shorter.
 MAX_NAME_LENGTH = 255
 
-# Frames that are kept in mind for a scene and positions of the joints.
+# Frames whose poses are kept for a scene and positions of the joints.
 MAX_RESOLVED = 100
 
 # Most frames that the error for an unknown one lists.
@@ -51,7 +51,7 @@ class LinkTransforms:
         if link == self.robot.root_link:
             return IDENTITY
         if link not in self._transforms:
-            raise _unknown(link, f"the pose of the link {link!r} is not known: the arm's position is not known")
+            raise _unknown(link, f"the pose of link {link!r} is unknown: the arm is not connected")
         return pose_of(self._transforms[link])
 
 
@@ -60,7 +60,7 @@ class Frames:
 
     def __init__(self, scene_state: SceneState) -> None:
         self._state = scene_state
-        # The many poses of one request are in the same frame mostly: a scene, joint positions, and poses by name there.
+        # Poses of frames by name, for a scene and joint positions: the many poses of a request are mostly in one frame.
         # Replaced as a whole, because threads read requests too.
         self._resolved: tuple[SceneContents, Mapping[str, float] | None, dict[str, Pose]] | None = None
 

@@ -263,7 +263,7 @@ class SceneInterface:
             await self._state.settled()
             return self._response(call)
 
-        # As if the changes that have been sent before were quick.
+        # After the changes that were sent before, also those that take long.
         answer(call, lambda _request: get_settled() if self._state.pending else self._response(call))
 
     def _response(self, call: Call) -> CompleteResponse:
@@ -288,7 +288,7 @@ class SceneInterface:
             elif (refusal := applied.exception()) is not None:
                 refuse(refusal)
             else:
-                # What a client that has left assumed is nobody's.
+                # A client that has left assumes nothing any more.
                 if not call.caller_left:
                     assumed.assume(caller, assumed_rad)
                 call.succeed({"success": True})
@@ -304,5 +304,5 @@ class SceneInterface:
             end(applied)
             return
         applied.add_done_callback(end)
-        # A client that has left got no failure as an answer: its change is made all the same.
+        # The change of a client that has left is made nevertheless: it got no failure as an answer.
         call.when_ended(lambda _response: call.caller_left or applied.cancel())

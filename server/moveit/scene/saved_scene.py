@@ -39,12 +39,12 @@ ATTACHED_TYPE = "moveit_msgs/msg/AttachedCollisionObject"
 # A scene of 1000 boxes has half a megabyte, a mesh of 200 000 triangles 15 MB; reading takes a second for 60 MB.
 MAX_FILE_BYTES = 64_000_000
 
-# A disk that takes longer to read keeps the scene, and the server begins without it. What takes longer to write goes on
-# being written, and the server goes on and ends without it.
+# Where a disk takes longer to read the scene, the server begins without it. Where it takes longer to write, the writing
+# goes on, and the server works and ends without waiting for it.
 DISK_TIMEOUT_S = 20.0
 
-# A change is written after so long, with all that have come meanwhile: clients build scenes object by object, and move
-# objects many times a second.
+# Time after which a change is written, with the changes since: clients build scenes object by object, and move objects
+# many times a second.
 DELAY_S = 1.0
 
 # Share of its time that a slow disk may spend on the scene.
@@ -67,10 +67,10 @@ class SavedScene:
         self._failing = False
 
     async def start(self) -> None:
-        """Restore the scene, and keep its changes from now on; nothing that is wrong with the file prevents a start."""
+        """Restore the scene, and keep its changes from now on; no fault of the file prevents the start."""
         path = self._path
         try:
-            # A server that is just ending is waited for.
+            # Another server may hold the lock until its end.
             await self._disk.do(lambda: self._lock.acquire(files.LOCK_TIMEOUT_S))
             await self._restore()
         except files.FileLockedError as error:

@@ -110,9 +110,9 @@ async def check_state_validity(context: PlanningContext, request: Message, calle
     state = required(await context.pool.ask(StateQuestion(group.name, positions_rad), scene))
     # Each constraint alone, in MoveIt's order of results.
     singles = [
-        *(Constraints(joints=(one,)) for one in constraints.joints),
-        *(Constraints(positions=(one,)) for one in constraints.positions),
-        *(Constraints(orientations=(one,)) for one in constraints.orientations),
+        *(Constraints(joints=(each,)) for each in constraints.joints),
+        *(Constraints(positions=(each,)) for each in constraints.positions),
+        *(Constraints(orientations=(each,)) for each in constraints.orientations),
     ]
     unmet = []
     for single in singles:
@@ -343,7 +343,7 @@ def offer_services(graph: Graph, context: PlanningContext) -> None:
 
 
 def _start(service: MoveGroupService, context: PlanningContext, call: Call) -> None:
-    """Answer a call; of a service that plans nothing at once, so that no more answers wait than the caller reads."""
+    """Answer a call, at once where the service plans nothing: no more answers wait then than the caller reads."""
     later = inspect.iscoroutinefunction(service.handler) or context.scene_state.pending
     answer(call, lambda _request: (_respond_later if later else _respond)(service, context, call))
 
@@ -359,7 +359,7 @@ async def _respond_later(service: MoveGroupService, context: PlanningContext, ca
     # Requests are read one by one, and the event loop has its turns in between.
     async with context.turn:
         await asyncio.sleep(0)
-    # As if the changes of the scene that have been sent before were quick.
+    # After the changes of the scene that were sent before, also long ones.
     await context.scene_state.settled()
     try:
         handled = service.handler(context, call.request, call.caller)

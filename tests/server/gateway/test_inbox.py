@@ -16,10 +16,11 @@ from protocol.codecs import png
 from protocol.operations import Auth, CancelActionGoal, Operation, Publish
 from protocol.session import Packed, Refusal, Session
 from robot.stop_epochs import STOP_EPOCHS
-from server.access.authorization import ACTIONLIB_CANCEL, CANCEL_SERVICE
+from server.access.authorization import ACTIONLIB_CANCEL
 from server.arrival import arrival_epoch
 from server.gateway.inbox import LONG_FRAME_BYTES, MAX_WAITING, STOP_PERIOD_S, STOP_TURN_S, Inbox, Waiting
 from server.gateway.turns import LEAST_WAITING_BYTES, ROUND_S, TURN_S, Turns
+from server.graph.actions import CANCEL_SERVICE
 from server.graph.message_types import MessageTypes, PostponedError, ReceivedMessage
 from server.graph.permissions import CANCELLING, STOPPING
 from tests.helpers.clock import FakeClock

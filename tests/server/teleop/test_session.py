@@ -112,7 +112,7 @@ async def test_a_sample_is_followed_when_it_comes_and_the_latency_counts_from_it
     assert isinstance(command, JointVelocities)
     assert command.velocity_rad_s["elbow_flex"] > 0.0
     await rig.until(lambda: len(rig.arm.setpoints) == 2)
-    rig.session._tell()
+    rig.session._show_state()
     assert rig.told[-1].latency_s == pytest.approx(0.004 + PLANNING_S)
 
 

@@ -15,7 +15,7 @@ from server.graph.permissions import Node
 from server.graph.topics import Graph
 from server.interfaces import load_registry
 from server.zenoh import network
-from server.zenoh.network import Declaration, Network, SharedNames, SharedThings
+from server.zenoh.network import Declaration, Network, SharedEndpoints, SharedNames
 from server.zenoh.rmw import LivelinessTokens
 from server.zenoh.session import SessionThread
 from tests.conformance.cases import INTERFACES
@@ -99,7 +99,7 @@ async def test_wanted_things_are_made_up_to_a_limit_and_again_where_they_change(
         def close(self) -> None:
             self.closed = True
 
-    things = SharedThings(alone, Thing)
+    things = SharedEndpoints(alone, Thing)
     things.follow({"/wrong": 0, "/a": 1, "/b": 1, "/one_too_many": 1})
     assert [each.of for each in made] == [("/a", 1), ("/b", 1)]
     assert "/wrong is not shared: topic /wrong: has another type" in caplog.text

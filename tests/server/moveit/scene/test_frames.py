@@ -48,7 +48,7 @@ def test_an_unknown_frame_is_refused_by_its_name(name):
 
 @pytest.mark.parametrize("name", ["gripper_link", "tool"])
 def test_frames_that_move_are_not_found_while_the_arms_position_is_unknown(name):
-    assert "position is not known" in rejection(FRAMES.resolve, name, None).message
+    assert "arm is not connected" in rejection(FRAMES.resolve, name, None).message
     assert FRAMES.resolve("table", None).position_m == (0.3, 0.1, 0.0)
 
 

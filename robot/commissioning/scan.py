@@ -4,7 +4,6 @@ import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from robot.hardware.servos.bus import read_registers
 from robot.trajectory import PERIOD_S
 
 # Baud rates at which a port can be opened, by register BAUD_RATE: the SDK has no name for 76800.
-BAUDRATE_BY_CODE = MappingProxyType({code: rate for code, rate in enumerate(registers.BAUDRATES) if rate != 76_800})
+BAUDRATE_BY_CODE: Mapping[int, int] = {code: rate for code, rate in enumerate(registers.BAUDRATES) if rate != 76_800}
 BAUDRATES = tuple(BAUDRATE_BY_CODE.values())
 
 FACTORY_ID = 1  # id of a new servo

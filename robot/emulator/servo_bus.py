@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 from scservo_sdk import (
@@ -32,9 +31,7 @@ from scservo_sdk import (
 from robot.emulator.servo import EmulatedServo
 from robot.hardware.port import wire_time_s
 
-_NAMES: Mapping[int, str] = MappingProxyType(
-    {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}
-)
+_NAMES: Mapping[int, str] = {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}
 
 
 class WriteLog:

@@ -261,7 +261,7 @@ class Arm(ArmClock):
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
         """Return the progress of a motion by the latest state; None before the arm has begun it, and after its end."""
         number = self._number(motion)
-        return next((one for one in self.state.motions if one.motion_id == number), None)
+        return next((motion for motion in self.state.motions if motion.motion_id == number), None)
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
         """Begin a stream of velocity setpoints, at rest until the first; with ``gripping`` a stall ends it well."""
@@ -366,7 +366,7 @@ class Arm(ArmClock):
                 await self._wait_for_end(ended)
                 if ended.done():
                     await self._process.leave()
-            # The last state does not tell: the process may have hung, or been killed, while it relaxed.
+            # The last state does not show it: the process may have hung, or been killed, while it relaxed.
             if self._begun and (ending := self._process.ending) != ENDED_IN_ORDER:
                 advice = "" if self._config.hardware.simulated else f". {TORQUE_LEFT_ON}"
                 log.warning(

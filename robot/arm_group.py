@@ -1,4 +1,4 @@
-"""Several arms as one: each has its process, and a motion of the joints of several is played by each for its own.
+"""Several arms as one: each has its process, which plays its own joints of a common motion.
 
 All that is sent to several arms leaves in the same turn of the event loop; each begins with the next tick of its own
 loop, so that two arms differ by one tick at most, plus the time for which a busy machine delays a process.

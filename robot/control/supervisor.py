@@ -91,7 +91,7 @@ Send = Callable[[object, bool], None]
 
 
 class Supervisor:
-    """Supervisor of one arm; it sends messages, with True for those to drop while the server does not read."""
+    """Supervisor of one arm; ``send`` takes its messages, with True for one to drop while the server does not read."""
 
     def __init__(self, config: ArmConfig, send: Send, clock: LoopClock, scheduling: Scheduling) -> None:
         self._config = config

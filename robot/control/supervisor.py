@@ -110,7 +110,7 @@ class Supervisor:
         self.arm: ControlCycle | None = None  # on the open hardware; None while disconnected
         self._orders: Orders | None = None
         self._task: _Task | None = None
-        self._fault: Fault | None = config.fault
+        self._fault: Fault | None = config.fault  # latched before the hardware was opened, or lost
         self._may_enable = config.start_enabled and not config.stopped
         self._last_stop = config.last_stop
         self._stopped = config.stopped  # ArmState.stopped
@@ -134,7 +134,7 @@ class Supervisor:
 
     @property
     def fault(self) -> Fault | None:
-        return self._fault if self._orders is None else self._orders.fault
+        return self._fault if self.arm is None else self.arm.fault
 
     @property
     def _controller(self) -> ArmController | None:
@@ -154,8 +154,8 @@ class Supervisor:
 
     def connect(self, hardware: HardwareInterface) -> None:
         """Begin to control hardware that was opened."""
-        self.arm = ControlCycle(hardware, self._clock)
-        self._orders = Orders(self.arm, self._config, self._fault, self._report)
+        self.arm = ControlCycle(hardware, self._clock, self._fault)
+        self._orders = Orders(self.arm, self._config, self._report)
         self._check_at_s = self._clock()
         self._retry_s = FIRST_RETRY_S
         self._set_bodies()
@@ -264,7 +264,7 @@ class Supervisor:
         lateness_s = pacer.latest(self._ticks_per_state)
         task = RELAXING_ARM if self._runs(RELAXING_ARM) else ""
         reason = "it is being relaxed" if task else self._reason
-        state = arm_state(arm, self.mode, self.fault, reason, lateness_s, self._clock)
+        state = arm_state(arm, self.mode, reason, lateness_s, self._clock)
         state = self._with_stop(replace(state, task=task, tick_s=pacer.tick_s))
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.

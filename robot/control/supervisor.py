@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -87,11 +88,16 @@ _NAMES = {
     Order.WRITE_CALIBRATION: "writing the calibration",
 }
 
-Send = Callable[[object, bool], None]
+
+class Send(Protocol):
+    """Function that sends a message to the server."""
+
+    def __call__(self, message: object, *, droppable: bool = False) -> None:
+        """Send a message; a droppable one is left out while the server does not read."""
 
 
 class Supervisor:
-    """Supervisor of one arm; ``send`` takes its messages, with True for one to drop while the server does not read."""
+    """Supervisor of one arm."""
 
     def __init__(self, config: ArmConfig, send: Send, clock: LoopClock, scheduling: Scheduling) -> None:
         self._config = config
@@ -179,7 +185,7 @@ class Supervisor:
         self._clock.pause(paused=False)
         stamp_s, lost_s, fault, names = self._clock.stamp_s(time.time()), self._clock(), self._fault, self._joint_names
         state = ArmState(stamp_s, Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s)
-        self._send(self._with_stop(state), True)
+        self._send(self._with_stop(state), droppable=True)
 
     def _with_stop(self, state: ArmState) -> ArmState:
         return replace(state, halted=self._halted, last_stop=self._last_stop, stopped=self._stopped)
@@ -251,7 +257,7 @@ class Supervisor:
         self._parking.take(ended)
         self._report(ended)
         for each in arm.controller.commanded if arm.controller is not None else ():
-            self._send(each, True)
+            self._send(each, droppable=True)
         self._check_server(now_s, server_gone=server_gone)
         self._check_fault()
         self._check_servos(now_s)
@@ -273,11 +279,12 @@ class Supervisor:
                 # A state may be dropped on its way: once a second all bodies are in it.
                 bodies = world.moved_bodies(every=self._health_due <= 0)
                 state = replace(state, bodies=bodies, stepped_ticks=self._clock.stepped_ticks)
-            self._send(state, True)
+            self._send(state, droppable=True)
         if self._health_due <= 0:
             self._health_due += HEALTH_PERIOD_TICKS
             port = self._config.hardware.port
-            self._send(arm_health(arm, state, port, pacer, self._clock, self._scheduling), True)
+            health = arm_health(arm, state, port, pacer, self._clock, self._scheduling)
+            self._send(health, droppable=True)
 
     def work(self) -> float:
         """Do one step of the sequence in progress; return the time until the next [s], infinite without one."""
@@ -470,11 +477,11 @@ class Supervisor:
 
     def _answer(self, number: int | None, sentence: str, *, done: bool) -> None:
         if number is not None:
-            self._send(CommandDone(number, done, sentence), False)
+            self._send(CommandDone(number, done, sentence))
 
     def _report(self, ended: list[MotionEnded]) -> None:
         for each in ended:
-            self._send(each, False)
+            self._send(each)
         if ended:
             # The server reports the end with the state that shows it.
             self._state_due = 0

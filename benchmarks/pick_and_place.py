@@ -57,7 +57,9 @@ class SteppedArm:
         config = ArmConfig(robot, EmulatedConfig(calibration, driven=True, physics=True))
         self.ticks = self._motion = 0
         self._clock, self._sent = SimulationClock(0.0), list[object]()
-        self._supervisor = Supervisor(config, lambda message, _: self._sent.append(message), self._clock, Scheduling())
+        self._supervisor = Supervisor(
+            config, lambda message, **_: self._sent.append(message), self._clock, Scheduling()
+        )
         self._supervisor.connect(hardware_opener(config, self._clock)())
         self._names = config.hardware.joint_names(robot)
         self._bounds = JointBounds.of(robot, self._names)

@@ -142,7 +142,7 @@ async def frame_client(url: str) -> AsyncIterator[FrameClient]:
 
 
 def goal_is(state: str) -> Condition:
-    """Condition on the messages of /moveit_goal_status: the latest tells this state."""
+    """Condition on the messages of /moveit_goal_status: the latest has this state."""
     return lambda messages: values_of(messages[-1])["state"] == state
 
 
@@ -209,7 +209,7 @@ def values_of(status: dict[str, Any]) -> dict[str, str]:
 
 @asynccontextmanager
 async def arm_client(url: str) -> AsyncIterator[ArmClient]:
-    """A client that has subscribed to all that is told of the arm."""
+    """A client that has subscribed to all topics about the arm."""
     client = ArmClient(await _connected(url))
     for topic, type_name in LATCHED.items():
         await client.say("subscribe", topic=topic, type=type_name)

@@ -91,7 +91,7 @@ class MessageBudget(threading.local):
             raise LargeMessageError(self._type_name)
 
 
-# One for all of a thread, for a message that is completed waits for nothing.
+# One a thread: the completion of a message never waits.
 BUDGET = MessageBudget()
 
 

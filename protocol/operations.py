@@ -41,9 +41,7 @@ OptionalName: TypeAlias = Annotated[
     Annotated[str, Field(min_length=1, max_length=MAX_NAME_CHARACTERS)] | None,
     Field(description=f"text of 1 to {MAX_NAME_CHARACTERS} characters"),
 ]
-Mark: TypeAlias = str | int | float | None
-"""Id that a client has given to an operation; some clients draw it with ``Math.random()``."""
-
+# Some clients draw ids with ``Math.random()``.
 OperationId: TypeAlias = Annotated[
     Annotated[str, Field(max_length=MAX_ID_CHARACTERS)] | int | Annotated[float, Field(allow_inf_nan=False)] | None,
     Field(description=f"text of up to {MAX_ID_CHARACTERS} characters, a number or null"),
@@ -290,7 +288,7 @@ class Status(Operation):
     msg: Text
 
 
-# What may ask for a motion.
+# Operations that may ask for a motion.
 Request: TypeAlias = Publish | CallService | SendActionGoal
 
 OPERATIONS: dict[str, type[Operation]] = {

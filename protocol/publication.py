@@ -205,7 +205,7 @@ class PublishedMessage:
 
     @property
     def large(self) -> bool:
-        """True for a message that is encoded later, for that takes longer than everybody may be kept waiting."""
+        """True for a message that is encoded later, by a thread: others would wait too long meanwhile."""
         return self.cost_bytes >= LARGE_BYTES
 
     def encoded(

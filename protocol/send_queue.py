@@ -43,7 +43,7 @@ class SendBudget:
     def charge(self, holder: SendQueue, size_bytes: int) -> None:
         """Count bytes that begin to wait; call :meth:`make_room` when they stand in the queue."""
         self.used_bytes += size_bytes
-        # One for which nothing waited has read all it got: it goes last.
+        # A client for which nothing waited has read all it got: it goes last.
         self._holders.setdefault(holder)
 
     def release(self, holder: SendQueue, size_bytes: int, *, empty: bool) -> None:
@@ -74,10 +74,10 @@ class SendBudget:
 class _Waiting:
     sequence: int
     encoded: EncodedMessage
-    # What it counts as, until it has been encoded an estimate.
+    # Size that is counted, an estimate until it is encoded [bytes].
     size_bytes: int
     account: Literal["replies", "requests", "topic data"]
-    # Those that it waits among, by sequence number, oldest first.
+    # Queue in which it waits, by sequence number, oldest first.
     lane: OrderedDict[int, Any]
 
 
@@ -224,7 +224,7 @@ class SendQueue:
         """
         self._count_leaving(0)
         self._budget.note_reading(self)
-        for subscription in [one for one in self._waiting if one.closed]:
+        for subscription in [each for each in self._waiting if each.closed]:
             for unwanted in list(self._waiting[subscription]):
                 self._take(unwanted)
         due: list[_Waiting] = []

@@ -18,7 +18,7 @@ from protocol.dialect import Dialect
 from protocol.errors import FrameError, OperationError
 from protocol.framing import ObjectEnd, Reassembly
 from protocol.limits import Limits
-from protocol.operations import Advertise, Fragment, Mark, Operation, Png
+from protocol.operations import Advertise, Fragment, Operation, OperationId, Png
 from protocol.publication import LARGE_BYTES, EncodedMessage, Encoding, Frame, PublishedMessage, pack
 from protocol.send_queue import SendBudget, SendQueue
 from protocol.subscriptions import Registrations, Subscription, Subscriptions
@@ -26,8 +26,8 @@ from protocol.subscriptions import Registrations, Subscription, Subscriptions
 # Bytes taken out of the bounded queues at a time: large enough to keep a quick socket busy, small beside the queues.
 SEND_BUDGET_BYTES = 65_536
 
-# A client that is too slow gets slower by every message about it.
-DROPS_TOLD_EVERY_S = 1.0
+# Each warning makes a client that is too slow slower still.
+DROP_WARNING_PERIOD_S = 1.0
 
 # Returns the fields of an operation whose message is large.
 LaterFields: TypeAlias = Callable[[], Mapping[str, Any]]
@@ -41,7 +41,7 @@ class Refusal:
     """Reason for which a frame, or an operation in it, is not carried out; ``called`` names its service or action."""
 
     op: str | None
-    id: Mark
+    id: OperationId
     text: str
     called: str = ""
 
@@ -58,11 +58,11 @@ class Packed:
 # the rest may be still to come.
 _START = re.compile(rb'\{(?=[ \t\r\n]*+(?:["}]|\Z))')
 
-# How much of something else may stand in front of an object: what clients send there is a few bytes, and to look
-# through ten megabytes of braces takes a third of a second.
+# Most bytes of something else before an object: clients send a few there, and a search through ten megabytes of braces
+# takes a third of a second.
 MAX_LEADING_BYTES = 1_024
 
-# A frame that holds more of them than this is not worth reading on, nor its refusals logging.
+# Refusals in one frame after which the rest of it is not read.
 MAX_REFUSALS_PER_FRAME = 8
 
 
@@ -72,7 +72,7 @@ class FrameReader:
     def __init__(self, limits: Limits) -> None:
         self.last_was_bson = False  # decides whether the answers are BSON
         self._limits = limits
-        # What begins with an object whose end has not come yet, and how far its end has been looked for.
+        # Data from the start of an object whose end has not come yet, and the search for that end.
         self._pending = bytearray()
         self._end = ObjectEnd()
 
@@ -182,9 +182,9 @@ class Session:
         self._reassembly = Reassembly(self.limits)
         self._fragment_size: int | None = None
         self._fragment_ids = itertools.count(1)
-        # Number of dropped messages that the client was warned of, and the time of the warning [s].
-        self._drops_told = 0
-        self._drops_told_s = -math.inf
+        # Number of dropped messages at the last warning of them, and its time [s].
+        self._warned_drops = 0
+        self._warned_s = -math.inf
         # Feedback may be dropped like topic data; all goals share one lane, so that it keeps its order.
         self._feedback = Subscription("feedback of goals")
 
@@ -300,16 +300,16 @@ class Session:
         self.send_queue.put_topic_data(self._feedback, self._encode_message(fields), now, in_order=True)
 
     def status(
-        self, level: Literal["error", "warning", "info"], text: str, mark: Mark, *, unasked: bool = False
+        self, level: Literal["error", "warning", "info"], text: str, id_: OperationId, *, unasked: bool = False
     ) -> None:
         """Queue a status message, if the client has asked for this level or it is ``unasked``."""
         if unasked or LEVELS.index(level) <= LEVELS.index(self.status_level):
-            self.reply(with_id({"op": "status", "level": level, "msg": text}, mark))
+            self.reply(with_id({"op": "status", "level": level, "msg": text}, id_))
 
     def data_to_send(self, now: float) -> list[EncodedMessage]:
         """Return due messages, `SEND_BUDGET_BYTES` and one message at most; call it when the socket takes data."""
-        if self.dropped > self._drops_told:
-            self._tell_drops(now)
+        if self.dropped > self._warned_drops:
+            self._warn_of_drops(now)
         return self.send_queue.take_due(now, SEND_BUDGET_BYTES)
 
     @property
@@ -328,13 +328,13 @@ class Session:
         """Number of topic messages dropped because the client was slow, not by its own throttle."""
         return self.send_queue.dropped - self.send_queue.throttled
 
-    def _tell_drops(self, now: float) -> None:
+    def _warn_of_drops(self, now: float) -> None:
         """Warn of dropped messages; only a client that reads gets here, and not too often."""
-        if now >= self._drops_told_s + DROPS_TOLD_EVERY_S:
+        if now >= self._warned_s + DROP_WARNING_PERIOD_S:
             self.status(
-                "warning", f"{self.dropped - self._drops_told} messages dropped: they are read too slowly", None
+                "warning", f"{self.dropped - self._warned_drops} messages dropped: they are read too slowly", None
             )
-            self._drops_told, self._drops_told_s = self.dropped, now
+            self._warned_drops, self._warned_s = self.dropped, now
 
     def _encode(self, fields: Mapping[str, Any], encode_json: Callable[[object], bytes] = json.encode) -> Frame:
         if self.speaks_bson:
@@ -342,25 +342,25 @@ class Session:
         return Frame(encode_json(fields), text=True)
 
     def _encode_message(self, fields: Mapping[str, Any] | LaterFields) -> EncodedMessage:
-        fragment_size, mark = self._fragment_size, f"reply:{next(self._fragment_ids)}"
+        fragment_size, fragment_id = self._fragment_size, f"reply:{next(self._fragment_ids)}"
         if isinstance(fields, Mapping):
-            return pack(self._encode(fields), fragment_size, mark)
+            return pack(self._encode(fields), fragment_size, fragment_id)
         return EncodedMessage.later(
-            lambda: pack(self._encode(fields(), json.encode_in_pieces), fragment_size, mark), LARGE_BYTES
+            lambda: pack(self._encode(fields(), json.encode_in_pieces), fragment_size, fragment_id), LARGE_BYTES
         )
 
 
-def with_id(fields: dict[str, Any], mark: Mark) -> dict[str, Any]:
+def with_id(fields: dict[str, Any], id_: OperationId) -> dict[str, Any]:
     """Return an operation with the id that it answers to, which is left out where none was sent."""
-    return fields if mark is None else {**fields, "id": mark}
+    return fields if id_ is None else {**fields, "id": id_}
 
 
-def _id(value: object) -> Mark:
+def _id(value: object) -> OperationId:
     """Return the id of an operation that could not be read; None for an id that cannot be sent back."""
-    mark = value.get("id") if isinstance(value, dict) else None
-    if isinstance(mark, str):
-        return mark if len(mark) <= operations.MAX_ID_CHARACTERS else None
-    return mark if type(mark) is int or (type(mark) is float and math.isfinite(mark)) else None
+    id_ = value.get("id") if isinstance(value, dict) else None
+    if isinstance(id_, str):
+        return id_ if len(id_) <= operations.MAX_ID_CHARACTERS else None
+    return id_ if type(id_) is int or (type(id_) is float and math.isfinite(id_)) else None
 
 
 def _called(value: object) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from protocol.errors import NothingToDoError, OperationError, describe
-from protocol.operations import COMPRESSIONS, Advertise, Compression, Mark, Subscribe, qualify
+from protocol.operations import COMPRESSIONS, Advertise, Compression, OperationId, Subscribe, qualify
 
 T = TypeVar("T", Advertise, Subscribe)
 
@@ -25,7 +25,7 @@ class Registrations(Generic[T]):
         self._opposite = opposite
         self._limit = limit
         self._count = 0
-        self._entries: dict[str, dict[Mark, T]] = {}
+        self._entries: dict[str, dict[OperationId, T]] = {}
 
     def __contains__(self, topic: str) -> bool:
         return qualify(topic) in self._entries
@@ -46,18 +46,18 @@ class Registrations(Generic[T]):
         ids[operation.id] = operation
         return first
 
-    def remove(self, topic: str, entry_id: Mark) -> bool:
+    def remove(self, topic: str, entry_id: OperationId) -> bool:
         """Withdraw one entry, or all on the topic without an id; True when nothing is left.
 
         Raises NothingToDoError when there is no such entry.
         """
         ids = self._entries.get(qualify(topic), {})
-        withdrawn = list(ids) if entry_id is None else [one for one in ids if one == entry_id]
+        withdrawn = list(ids) if entry_id is None else [each for each in ids if each == entry_id]
         if not withdrawn:
-            what = f"topic {topic}" if entry_id is None else f"topic {topic} under id {describe(entry_id)}"
-            raise NothingToDoError(self._opposite, None, f"{what}: this client has no {self._op} of it")
-        for one in withdrawn:
-            del ids[one]
+            place = f"topic {topic}" if entry_id is None else f"topic {topic} under id {describe(entry_id)}"
+            raise NothingToDoError(self._opposite, None, f"{place}: this client has no {self._op} of it")
+        for each in withdrawn:
+            del ids[each]
         self._count -= len(withdrawn)
         if not ids:
             del self._entries[qualify(topic)]
@@ -131,7 +131,7 @@ class Subscriptions(Registrations[Subscribe]):
         subscription.merge(self.entries(operation.topic))
         return first
 
-    def remove(self, topic: str, entry_id: Mark) -> bool:
+    def remove(self, topic: str, entry_id: OperationId) -> bool:
         """Withdraw subscriptions as :meth:`Registrations.remove`; with the last one their delivery is closed."""
         none_left = super().remove(topic, entry_id)
         if none_left:

@@ -14,7 +14,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from robot.calibration import Calibration
 from robot.hardware.config import ClockReading
@@ -90,6 +90,14 @@ CLOSE_LIMIT_S = 60.0
 def start_arm_process(name: str = "") -> StartedChild:
     """Start an arm process, which loads its modules; its log lines have the arm's name, or none for a lone arm."""
     return StartedChild("robot.control.loop", name)
+
+
+class Splice(NamedTuple):
+    """Motion that another one continues without a stop."""
+
+    motion: asyncio.Future[MotionEnded]
+    from_s: float  # time on it at which the other one begins [s]
+    leaves_s: float  # monotonic time until which both coincide [s]
 
 
 class ArmClock(ABC):
@@ -243,25 +251,25 @@ class Arm(ArmClock):
         *,
         gripping: bool = False,
         torque_share: float = 1.0,
-        continues: tuple[asyncio.Future[MotionEnded], float, float] | None = None,
+        continues: Splice | None = None,
         epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
         """Send a trajectory at once and in order with :meth:`stop`; the future of its end never raises.
 
-        A motion ``continues`` another one without a stop, from a time on it [s]; both coincide until a monotonic time
-        [s]. It has the stop epoch in which it was requested, None for now; see :class:`robot.messages.Execute` for the
-        rest.
+        A motion may take the place of another one without a stop. It has the stop epoch in which it was requested, None
+        for now; see :class:`robot.messages.Execute` for the rest.
         """
         motion_id = next(self._ids)
-        continuation = None if continues is None else Continuation(self._number(continues[0]), *continues[1:])
-        return self._begin(
-            Execute(motion_id, trajectory, gripping, torque_share, continuation, _epoch_of_request(epoch))
-        )
+        continuation = None
+        if continues is not None:
+            continuation = Continuation(self._number(continues.motion), continues.from_s, continues.leaves_s)
+        epoch = _epoch_of_request(epoch)
+        return self._begin(Execute(motion_id, trajectory, gripping, torque_share, continuation, epoch))
 
     def progress(self, motion: asyncio.Future[MotionEnded]) -> MotionProgress | None:
         """Return the progress of a motion by the latest state; None before the arm has begun it, and after its end."""
         number = self._number(motion)
-        return next((one for one in self.state.motions if one.motion_id == number), None)
+        return next((motion for motion in self.state.motions if motion.motion_id == number), None)
 
     def stream(self, joint_names: tuple[str, ...], epoch: int | None = None, *, gripping: bool = False) -> ArmStream:
         """Begin a stream of velocity setpoints, at rest until the first; with ``gripping`` a stall ends it well."""
@@ -366,7 +374,7 @@ class Arm(ArmClock):
                 await self._wait_for_end(ended)
                 if ended.done():
                     await self._process.leave()
-            # The last state does not tell: the process may have hung, or been killed, while it relaxed.
+            # The last state does not show it: the process may have hung, or been killed, while it relaxed.
             if self._begun and (ending := self._process.ending) != ENDED_IN_ORDER:
                 advice = "" if self._config.hardware.simulated else f". {TORQUE_LEFT_ON}"
                 log.warning(
@@ -392,7 +400,8 @@ class Arm(ArmClock):
             await asyncio.wait((ended,), timeout=HEARTBEAT_S)
             if ended.done():
                 return
-            heard_s, waits = (heard_s, waits + 1) if self._state_at_s == heard_s else (self._state_at_s, 0)
+            waits = waits + 1 if self._state_at_s == heard_s else 0
+            heard_s = self._state_at_s
 
     async def _beat(self) -> None:
         while True:
@@ -488,7 +497,7 @@ class Arm(ArmClock):
             _settle(answered, CommandDone(number, done=False, message="the arm process ended before it had answered"))
         if self._closing:
             return
-        self._tell_restart("the arm process ended; starting it again")
+        self._log_restart("the arm process ended; starting it again")
         self._restart = asyncio.create_task(self._start_again(ran_s), name="restart arm process")
         self._disconnect("the arm process ended and is starting again", STARTING_ARM, halted)
 
@@ -512,7 +521,7 @@ class Arm(ArmClock):
             await self._process.launch()
         except Exception as error:  # noqa: BLE001 - OSError, MemoryError and others; without a next try the arm is lost
             reason = f"the arm process cannot be started: {str(error) or type(error).__name__}"
-            self._tell_restart(reason)
+            self._log_restart(reason)
             self._disconnect(f"{reason}; it is tried again")
             return False
         if self._begun:
@@ -530,7 +539,7 @@ class Arm(ArmClock):
         except Exception:  # a bug in one who takes the state must not end the restarts
             log.exception("reporting that the arm process is gone failed")
 
-    def _tell_restart(self, line: str) -> None:
+    def _log_restart(self, line: str) -> None:
         self._restart_log.write(log, logging.ERROR, line, line, time.monotonic())
 
 

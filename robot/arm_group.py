@@ -1,4 +1,4 @@
-"""Several arms as one: each has its process, and a motion of the joints of several is played by each for its own.
+"""Several arms as one: each has its process, which plays its own joints of a common motion.
 
 All that is sent to several arms leaves in the same turn of the event loop; each begins with the next tick of its own
 loop, so that two arms differ by one tick at most, plus the time for which a busy machine delays a process.
@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from robot.arm import Arm, ArmClock, ArmStream
+from robot.arm import Arm, ArmClock, ArmStream, Splice
 from robot.calibration import Calibration
 from robot.errors import OrderRefused
 from robot.faults import Fault
@@ -137,7 +137,7 @@ class ArmGroup(ArmClock):
         *,
         gripping: bool = False,
         torque_share: float = 1.0,
-        continues: tuple[asyncio.Future[MotionEnded], float, float] | None = None,
+        continues: Splice | None = None,
         epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
         """Send a trajectory to the arms whose joints it moves; when one ends its part early, the others stop."""
@@ -151,7 +151,7 @@ class ArmGroup(ArmClock):
                     trajectory.of_joints(tuple(joints)),
                     gripping=gripping,
                     torque_share=torque_share,
-                    continues=continues and (self._part_of(name, continues[0]), *continues[1:]),
+                    continues=continues and continues._replace(motion=self._part_of(name, continues.motion)),
                     epoch=epoch,
                 )
         if len(begun) == 1:

@@ -27,7 +27,7 @@ class FileLockedError(OSError):
 
 
 class FileLock:
-    """Lock of a file that need not exist; of the processes, and of the locks in one process, one has it at a time."""
+    """Lock of a file that need not exist; one at a time has it, in this process and all others."""
 
     def __init__(self, path: Path) -> None:
         self._path = lock_path(path)
@@ -63,7 +63,7 @@ class FileLock:
 
 @contextlib.contextmanager
 def locked(path: Path, timeout_s: float | None = None) -> Iterator[None]:
-    """Hold the lock of a file; raises FileLockedError after a wait, without a time after :data:`LOCK_TIMEOUT_S`."""
+    """Hold the lock of a file; raises FileLockedError after a wait, None for :data:`LOCK_TIMEOUT_S`."""
     lock = FileLock(path)
     lock.acquire(LOCK_TIMEOUT_S if timeout_s is None else timeout_s)
     try:

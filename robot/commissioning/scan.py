@@ -4,7 +4,6 @@ import contextlib
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from robot.hardware.servos.bus import read_registers
 from robot.trajectory import PERIOD_S
 
 # Baud rates at which a port can be opened, by register BAUD_RATE: the SDK has no name for 76800.
-BAUDRATE_BY_CODE = MappingProxyType({code: rate for code, rate in enumerate(registers.BAUDRATES) if rate != 76_800})
+BAUDRATE_BY_CODE: Mapping[int, int] = {code: rate for code, rate in enumerate(registers.BAUDRATES) if rate != 76_800}
 BAUDRATES = tuple(BAUDRATE_BY_CODE.values())
 
 FACTORY_ID = 1  # id of a new servo
@@ -111,18 +110,18 @@ def scan(bus: Bus, expected_ids: Collection[int]) -> ScanResult:
 def explain_missing(result: ScanResult, joints: Sequence[ServoSpec]) -> list[str]:
     """Explain missing and unsteady servos, a sentence each; joints are in the order of the chain."""
     present = [joint.servo_id in result.ids for joint in joints]
-    said = [
+    notes = [
         f"servo {servo_id} answers some questions only: its plug, or the power supply, has bad contact"
         for servo_id in result.unsteady_ids
     ]
     if result.garbled_bytes:
-        said.append("some replies were garbled: two servos may have the same id (armbridge setup gives each its own)")
+        notes.append("some replies were garbled: two servos may have the same id (armbridge setup gives each its own)")
     if all(present):
-        return said
+        return notes
     missing = ", ".join(
         f"{joint.servo_id} ({joint.joint})" for joint, there in zip(joints, present, strict=True) if not there
     )
-    return [f"no answer from servo {missing}: {_cause(result, joints, present)}", *said]
+    return [f"no answer from servo {missing}: {_cause(result, joints, present)}", *notes]
 
 
 def _cause(result: ScanResult, joints: Sequence[ServoSpec], present: list[bool]) -> str:

@@ -114,7 +114,10 @@ class ArmController:
 
     @property
     def progress(self) -> tuple[MotionProgress, ...]:
-        return tuple(MotionProgress(one.motion_id, one.fraction, one.remaining_s, one.rate) for one in self.motions)
+        return tuple(
+            MotionProgress(motion.motion_id, motion.fraction, motion.remaining_s, motion.rate)
+            for motion in self.motions
+        )
 
     def hold(self, goal_rad: Vector, measured: Measured | None = None) -> None:
         """Begin to hold at the goals that the servos have, or at their positions where they are far away."""

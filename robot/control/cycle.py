@@ -56,15 +56,27 @@ class ErrorCounts:
 
 
 class ControlCycle:
-    """Control cycle on open hardware."""
+    """Control cycle on open hardware; a fault may be latched before it has a controller."""
 
-    def __init__(self, hardware: HardwareInterface, clock: Callable[[], float]) -> None:
+    def __init__(self, hardware: HardwareInterface, clock: Callable[[], float], fault: Fault | None = None) -> None:
         self.hardware = hardware
         self.controller: ArmController | None = None  # None until the actuators were surveyed
         self.measured: Measured | None = None  # latest readings; None until every joint has answered
         self.errors = ErrorCounts(hardware.joint_names)
         self._clock = clock
+        self._early_fault = fault
         self._writing = True
+
+    @property
+    def fault(self) -> Fault | None:
+        return self._early_fault if self.controller is None else self.controller.fault
+
+    def latch(self, fault: Fault) -> list[MotionEnded]:
+        """Latch a fault; return the ends of motions."""
+        if self.controller is None:
+            self._early_fault = fault
+            return []
+        return self.controller.latch(fault)
 
     def tick(self) -> list[MotionEnded]:
         """Read the joints, update the controller, and write the goals; return the ends of motions."""
@@ -100,9 +112,7 @@ class ControlCycle:
             self._writing = True
 
 
-def arm_state(
-    arm: ControlCycle, mode: Mode, fault: Fault | None, reason: str, lateness_s: tuple[float, ...], clock: LoopClock
-) -> ArmState:
+def arm_state(arm: ControlCycle, mode: Mode, reason: str, lateness_s: tuple[float, ...], clock: LoopClock) -> ArmState:
     """Build the state of the arm at its latest reading; the reason is a sentence on an arm that is not ready."""
     measured, controller = arm.measured, arm.controller
     state = ArmState(
@@ -110,7 +120,7 @@ def arm_state(
         mode,
         arm.hardware.joint_names,
         reason=reason,
-        fault=fault,
+        fault=arm.fault,
         lateness_s=lateness_s,
         clock_s=clock(),
     )

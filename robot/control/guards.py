@@ -30,8 +30,7 @@ VOLTAGE_BIT_TIME_S = 2.0
 DROOP_SHARE = 2.0 / 3.0
 LARGEST_TOLERANCE_RAD = 0.3  # the most that goal_tolerance_rad may be set to
 
-# A protection is kept at this distance: its threshold is compared with a load that is measured in steps of 0.1 % and
-# that ripples.
+# Share of a protection's threshold that is used: the load is measured in steps of 0.1 %, and ripples.
 MARGIN = 0.8
 
 # A joint that is loaded beyond its protection's threshold is relieved after this share of the protection's time.
@@ -87,11 +86,11 @@ class ActuatorThresholds:
         softness = 1.0 / np.clip(actuation.stiffness, 1e-2, 1.0)
         tolerance = limits.goal_tolerance_rad * (1.0 + DROOP_SHARE * (softness - 1.0))
         threshold = np.minimum(actuation.overload_torque, actuation.overload_current_a / actuation.stall_current_a)
-        within = threshold >= full_torque
+        harmless = threshold >= full_torque
         return cls(
             goal_tolerance_rad=np.minimum(tolerance, LARGEST_TOLERANCE_RAD),
-            sustained_torque=np.where(within, full_torque, MARGIN * threshold),
-            relieve_after_s=np.where(within, np.inf, RELIEF_SHARE * actuation.overload_time_s),
+            sustained_torque=np.where(harmless, full_torque, MARGIN * threshold),
+            relieve_after_s=np.where(harmless, np.inf, RELIEF_SHARE * actuation.overload_time_s),
             stall_current_a=np.minimum(limits.stall_current_a, MARGIN * actuation.overload_current_a),
             stall_time_s=np.minimum(limits.stall_time_s, STALL_SHARE * actuation.overload_time_s),
             free_speed_rad_s=actuation.free_speed_rad_s,

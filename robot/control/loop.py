@@ -83,7 +83,7 @@ class ArmLoop:
             LoopClock() if isinstance(hardware, SerialConfig) else SimulationClock(now_s, hardware.rate, hardware.clock)
         )
         self._opener: Callable[[], HardwareInterface] | None = None
-        self._supervisor = Supervisor(config, self._send, self._clock, scheduling)
+        self._supervisor = Supervisor(config, channel.send, self._clock, scheduling)
 
     def run(self) -> None:
         """Run until the end; hardware that cannot be opened is retried."""
@@ -144,11 +144,8 @@ class ArmLoop:
 
     def _handle(self, messages: list[Any]) -> None:
         urgent = [each for each in messages if isinstance(each, Command) and each.order is Order.EMERGENCY_STOP]
-        for message in (*urgent, *(each for each in messages if each not in urgent)):
+        for message in sorted(messages, key=lambda each: each not in urgent):
             self._supervisor.handle(message)
-
-    def _send(self, message: object, droppable: bool) -> None:
-        self._channel.send(message, droppable=droppable)
 
     def _wait(self, wait_s: float) -> None:
         until_s = time.monotonic() + wait_s

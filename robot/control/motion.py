@@ -59,7 +59,7 @@ class Streaming:
 
     @property
     def _silent(self) -> bool:
-        # Ticks add up to a little more or less than their sum.
+        # Rounding: six ticks may add up to a little more than SETPOINT_LASTS_S.
         return self._silence_s > SETPOINT_LASTS_S + 1e-9
 
     def steer(self, velocity_rad_s: Vector) -> None:
@@ -368,5 +368,4 @@ def splice(motions: MutableSequence[Motion | Streaming], motion: Motion) -> Moti
 
 def _former(motions: Iterable[Motion | Streaming], command: Execute) -> Motion | None:
     number = None if command.continues is None else command.continues.motion_id
-    found = (one for one in motions if isinstance(one, Motion) and one.motion_id == number)
-    return next(found, None)
+    return next((each for each in motions if isinstance(each, Motion) and each.motion_id == number), None)

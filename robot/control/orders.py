@@ -30,17 +30,12 @@ Report = Callable[[list[MotionEnded]], None]
 
 
 class Orders:
-    """Orders to one arm on open hardware, with the fault latched before; the motions that they end are reported."""
+    """Orders to one arm on open hardware; the motions that they end are reported."""
 
-    def __init__(self, arm: ControlCycle, config: ArmConfig, fault: Fault | None, report: Report) -> None:
+    def __init__(self, arm: ControlCycle, config: ArmConfig, report: Report) -> None:
         self._arm = arm
         self._config = config
-        self._early_fault = fault
         self._report = report
-
-    @property
-    def fault(self) -> Fault | None:
-        return self._early_fault if self._arm.controller is None else self._arm.controller.fault
 
     def connect(self, may_enable: Callable[[], bool]) -> Steps[str]:
         """Survey the actuators, take over the holding ones, and enable the arm where it then is permitted."""
@@ -91,7 +86,7 @@ class Orders:
             found.bounds,
             guards,
             hardware.full_torque,
-            self._early_fault,
+            self._arm.fault,
             simulated=config.hardware.simulated,
             speed_limit=config.speed_limit,
         )
@@ -224,10 +219,7 @@ class Orders:
 
     def _latch(self, code: FaultCode, message: str) -> None:
         fault = Fault(code, message, stamp_s=time.time(), simulated=self._config.hardware.simulated)
-        if self._arm.controller is None:
-            self._early_fault = fault
-        else:
-            self._report(self._arm.controller.latch(fault))
+        self._report(self._arm.latch(fault))
 
     def _readings(self) -> Measured:
         if self._arm.measured is None:

@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -87,11 +88,16 @@ _NAMES = {
     Order.WRITE_CALIBRATION: "writing the calibration",
 }
 
-Send = Callable[[object, bool], None]
+
+class Send(Protocol):
+    """Function that sends a message to the server."""
+
+    def __call__(self, message: object, *, droppable: bool = False) -> None:
+        """Send a message; a droppable one is left out while the server does not read."""
 
 
 class Supervisor:
-    """Supervisor of one arm; it sends messages, with True for those to drop while the server does not read."""
+    """Supervisor of one arm."""
 
     def __init__(self, config: ArmConfig, send: Send, clock: LoopClock, scheduling: Scheduling) -> None:
         self._config = config
@@ -110,7 +116,7 @@ class Supervisor:
         self.arm: ControlCycle | None = None  # on the open hardware; None while disconnected
         self._orders: Orders | None = None
         self._task: _Task | None = None
-        self._fault: Fault | None = config.fault
+        self._fault: Fault | None = config.fault  # latched before the hardware was opened, or lost
         self._may_enable = config.start_enabled and not config.stopped
         self._last_stop = config.last_stop
         self._stopped = config.stopped  # ArmState.stopped
@@ -134,7 +140,7 @@ class Supervisor:
 
     @property
     def fault(self) -> Fault | None:
-        return self._fault if self._orders is None else self._orders.fault
+        return self._fault if self.arm is None else self.arm.fault
 
     @property
     def _controller(self) -> ArmController | None:
@@ -154,8 +160,8 @@ class Supervisor:
 
     def connect(self, hardware: HardwareInterface) -> None:
         """Begin to control hardware that was opened."""
-        self.arm = ControlCycle(hardware, self._clock)
-        self._orders = Orders(self.arm, self._config, self._fault, self._report)
+        self.arm = ControlCycle(hardware, self._clock, self._fault)
+        self._orders = Orders(self.arm, self._config, self._report)
         self._check_at_s = self._clock()
         self._retry_s = FIRST_RETRY_S
         self._set_bodies()
@@ -179,7 +185,7 @@ class Supervisor:
         self._clock.pause(paused=False)
         stamp_s, lost_s, fault, names = self._clock.stamp_s(time.time()), self._clock(), self._fault, self._joint_names
         state = ArmState(stamp_s, Mode.DISCONNECTED, names, reason=reason, fault=fault, clock_s=lost_s)
-        self._send(self._with_stop(state), True)
+        self._send(self._with_stop(state), droppable=True)
 
     def _with_stop(self, state: ArmState) -> ArmState:
         return replace(state, halted=self._halted, last_stop=self._last_stop, stopped=self._stopped)
@@ -251,7 +257,7 @@ class Supervisor:
         self._parking.take(ended)
         self._report(ended)
         for each in arm.controller.commanded if arm.controller is not None else ():
-            self._send(each, True)
+            self._send(each, droppable=True)
         self._check_server(now_s, server_gone=server_gone)
         self._check_fault()
         self._check_servos(now_s)
@@ -264,7 +270,7 @@ class Supervisor:
         lateness_s = pacer.latest(self._ticks_per_state)
         task = RELAXING_ARM if self._runs(RELAXING_ARM) else ""
         reason = "it is being relaxed" if task else self._reason
-        state = arm_state(arm, self.mode, self.fault, reason, lateness_s, self._clock)
+        state = arm_state(arm, self.mode, reason, lateness_s, self._clock)
         state = self._with_stop(replace(state, task=task, tick_s=pacer.tick_s))
         if self._state_due <= 0:
             # States that skipped ticks left out are not made up for.
@@ -273,11 +279,12 @@ class Supervisor:
                 # A state may be dropped on its way: once a second all bodies are in it.
                 bodies = world.moved_bodies(every=self._health_due <= 0)
                 state = replace(state, bodies=bodies, stepped_ticks=self._clock.stepped_ticks)
-            self._send(state, True)
+            self._send(state, droppable=True)
         if self._health_due <= 0:
             self._health_due += HEALTH_PERIOD_TICKS
             port = self._config.hardware.port
-            self._send(arm_health(arm, state, port, pacer, self._clock, self._scheduling), True)
+            health = arm_health(arm, state, port, pacer, self._clock, self._scheduling)
+            self._send(health, droppable=True)
 
     def work(self) -> float:
         """Do one step of the sequence in progress; return the time until the next [s], infinite without one."""
@@ -298,7 +305,7 @@ class Supervisor:
         return 0.0
 
     def finished(self) -> bool:
-        """Return True when the process may end: the server has ended, and the arm is in its end state, or late."""
+        """Return True when the process may end: the server has ended, and the arm is in its end state, or had its time."""
         self._ended = self._ended or self._reaches_end()
         return self._ended
 
@@ -310,16 +317,16 @@ class Supervisor:
         taken_s = now_s - self._end_begun_s
         if controller is None:
             # Servos that are still being checked may hold, as a process before this one has left them.
-            late = (self._lost_driven or self.arm is not None) and self._end is not EndState.HOLD
+            unfinished = (self._lost_driven or self.arm is not None) and self._end is not EndState.HOLD
         else:
             driven = self._end is not EndState.HOLD and controller.torque_enabled
-            late = controller.moving or self._task is not None or driven
+            unfinished = controller.moving or self._task is not None or driven
         timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
         in_time = self._end_ticks * PERIOD_S <= timeout_s and taken_s <= END_LIMIT_S
-        if late and in_time and self.arm is not None:
+        if unfinished and in_time and self.arm is not None:
             return False
         self._interrupt("the server is ending")
-        if late:
+        if unfinished:
             log.error(
                 "the arm is not in its end state (%s) after %.0f s, in which it had %d ticks; the process ends: %s",
                 self._end.value,
@@ -470,11 +477,11 @@ class Supervisor:
 
     def _answer(self, number: int | None, sentence: str, *, done: bool) -> None:
         if number is not None:
-            self._send(CommandDone(number, done, sentence), False)
+            self._send(CommandDone(number, done, sentence))
 
     def _report(self, ended: list[MotionEnded]) -> None:
         for each in ended:
-            self._send(each, False)
+            self._send(each)
         if ended:
             # The server reports the end with the state that shows it.
             self._state_due = 0

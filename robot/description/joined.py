@@ -121,7 +121,8 @@ def _shapes(robots: Sequence[RobotModel], prefix: str = "") -> dict[str, Any]:
     """Return hulls, parts and surfaces of some robots by link, whose names get a prefix."""
     kinds = ("hulls", "parts", "surfaces")
     return {
-        kind: {prefix + link: each for one in robots for link, each in getattr(one, kind).items()} for kind in kinds
+        kind: {prefix + link: shape for robot in robots for link, shape in getattr(robot, kind).items()}
+        for kind in kinds
     }
 
 

@@ -4,7 +4,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,8 @@ from robot.description.urdf import JointLimits as JointLimits
 from robot.description.urdf import Tree, read_urdf, with_fixed_joints
 from robot.errors import DescriptionError
 
-NO_LIMITS: Mapping[str, JointLimits] = MappingProxyType({})
-NONE_HELD: Mapping[str, float] = MappingProxyType({})
+NO_LIMITS: Mapping[str, JointLimits] = {}
+NONE_HELD: Mapping[str, float] = {}
 
 # Names of the states of a gripper's group, in small letters.
 OPEN_STATES = ("open", "opened")

@@ -73,7 +73,7 @@ class _Reader:
     def __init__(self, root: ET.Element, source: str, tree: Tree) -> None:
         self._root, self._source, self._tree = root, source, tree
         self._by_child = {joint.child: joint for joint in tree.joints.values()}
-        self._virtual = {attribute(one, "name", source): one for one in root.iterfind("virtual_joint")}
+        self._virtual = {attribute(each, "name", source): each for each in root.iterfind("virtual_joint")}
         self._passive = frozenset(self._passive_joints())
         self._elements = {attribute(group, "name", source): group for group in root.iterfind("group")}
         self._found: dict[str, set[str]] = {}  # members of the groups that were read
@@ -202,15 +202,15 @@ class _Reader:
         for element in self._root.iterfind("group_state"):
             name = attribute(element, "name", self._source)
             positions = {}
-            for one in element.iterfind("joint"):
-                joint_name = attribute(one, "name", self._source)
+            for member in element.iterfind("joint"):
+                joint_name = attribute(member, "name", self._source)
                 # A floating base has seven values, and not always a <virtual_joint>.
-                if joint_name in self._virtual or len(one.get("value", "").split()) > 1:
+                if joint_name in self._virtual or len(member.get("value", "").split()) > 1:
                     continue
                 joint = self._joint(joint_name, f"group_state {name!r} <joint>")
                 if joint.movable and joint.name not in self._passive:
                     where = f"{self._source} group_state {name!r} joint {joint_name!r}"
-                    positions[joint_name] = number(one, "value", where)
+                    positions[joint_name] = number(member, "value", where)
             group = element.get("group") or self._group_of_state(name, positions, groups)
             if group in groups and positions:
                 states.setdefault(group, {})[name] = positions
@@ -224,7 +224,7 @@ class _Reader:
         return min(having, key=lambda group: len(group.joints)).name
 
     def _disabled_pairs(self) -> frozenset[frozenset[str]]:
-        """Return the unchecked pairs; links that the URDF lacks are let pass: they touch nothing."""
+        """Return the unchecked pairs; links that the URDF lacks are allowed: they touch nothing."""
         source, links = self._source, self._tree.links
         resting = [attribute(each, "link", source) for each in self._root.iterfind("disable_default_collisions")]
         pairs = {frozenset((link, other)) for link in resting for other in links if other != link}

@@ -251,8 +251,8 @@ def carry_out(command: LiveCommand, names: Iterable[str], emulation: Emulation) 
                 for servo in value:
                     _OF_SERVOS[name](servo)
             case _ if name in _OF_VALUES:
-                for servo, one in value.items():
-                    _OF_VALUES[name](servo, one)
+                for servo, setting in value.items():
+                    _OF_VALUES[name](servo, setting)
             case "offline":
                 faults.offline |= {servo.servo_id for servo in value}
             case "online":

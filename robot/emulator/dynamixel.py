@@ -30,13 +30,13 @@ from robot.hardware.dynamixel.registers import (
     VOLT_PER_UNIT,
     WATCHDOG_TRIPPED,
     WATCHDOG_UNIT_S,
-    Area,
     Model,
     OperatingMode,
     Register,
     status_of,
 )
 from robot.hardware.interface import StatusFlag
+from robot.hardware.servos.registers import Area
 from robot.messages import GuardLimits
 
 # Error numbers of a status packet.

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from types import MappingProxyType
 
 from scservo_sdk import BROADCAST_ID, INST_PING, INST_READ
 
@@ -25,41 +24,39 @@ from robot.hardware.feetech.registers import (
     TABLE,
     TICKS_S2_PER_ACCELERATION_UNIT,
     VOLT_PER_UNIT,
-    Area,
     Register,
 )
 from robot.hardware.interface import StatusFlag
+from robot.hardware.servos.registers import Area
 from robot.messages import GuardLimits
 
 MEMORY_BYTES = 87  # the last documented address is 86; addresses beyond it read as zero
 
 # Values of a new servo; angle limits and id are the arm's.
-FACTORY_EPROM: Mapping[Register, int] = MappingProxyType(
-    {
-        Register.FIRMWARE_MAJOR: 3,
-        Register.FIRMWARE_MINOR: 10,
-        Register.MODEL_NUMBER: MODELS["sts3215"],
-        Register.RESPONSE_LEVEL: 1,
-        Register.MAX_ANGLE_LIMIT: 4095,
-        Register.MAX_TEMPERATURE: 70,
-        Register.MAX_VOLTAGE: 80,
-        Register.MIN_VOLTAGE: 40,
-        Register.MAX_TORQUE: 1000,
-        Register.PHASE: 12,
-        Register.UNLOADING_CONDITION: 44,
-        Register.LED_ALARM_CONDITION: 47,
-        Register.P_GAIN: 32,
-        Register.D_GAIN: 32,
-        Register.MIN_STARTUP_FORCE: 16,
-        Register.CW_DEAD_ZONE: 1,
-        Register.CCW_DEAD_ZONE: 1,
-        Register.PROTECTION_CURRENT: 500,
-        Register.ANGULAR_RESOLUTION: 1,
-        Register.PROTECTIVE_TORQUE: 20,
-        Register.PROTECTION_TIME: 200,
-        Register.OVERLOAD_TORQUE: 80,
-    }
-)
+FACTORY_EPROM: Mapping[Register, int] = {
+    Register.FIRMWARE_MAJOR: 3,
+    Register.FIRMWARE_MINOR: 10,
+    Register.MODEL_NUMBER: MODELS["sts3215"],
+    Register.RESPONSE_LEVEL: 1,
+    Register.MAX_ANGLE_LIMIT: 4095,
+    Register.MAX_TEMPERATURE: 70,
+    Register.MAX_VOLTAGE: 80,
+    Register.MIN_VOLTAGE: 40,
+    Register.MAX_TORQUE: 1000,
+    Register.PHASE: 12,
+    Register.UNLOADING_CONDITION: 44,
+    Register.LED_ALARM_CONDITION: 47,
+    Register.P_GAIN: 32,
+    Register.D_GAIN: 32,
+    Register.MIN_STARTUP_FORCE: 16,
+    Register.CW_DEAD_ZONE: 1,
+    Register.CCW_DEAD_ZONE: 1,
+    Register.PROTECTION_CURRENT: 500,
+    Register.ANGULAR_RESOLUTION: 1,
+    Register.PROTECTIVE_TORQUE: 20,
+    Register.PROTECTION_TIME: 200,
+    Register.OVERLOAD_TORQUE: 80,
+}
 
 # Register ACCELERATION 0 means the greatest one; lerobot writes this value to the limit register.
 MAX_ACCELERATION = 254

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 from robot.calibration import MAX_TICK
 from robot.emulator.plant import SQUEEZING, WELL_COOLED, Heating
@@ -85,6 +84,10 @@ KIT = Population(
     horn_ticks=(120, -340, 260, -180, 410, 60),
 )
 
-POPULATIONS: Mapping[str, Population] = MappingProxyType(
-    {"factory": FACTORY, "lerobot": LEROBOT_CONFIGURED, "ros2_driver": ROS2_DRIVER, "clone": CLONE, "kit": KIT}
-)
+POPULATIONS: Mapping[str, Population] = {
+    "factory": FACTORY,
+    "lerobot": LEROBOT_CONFIGURED,
+    "ros2_driver": ROS2_DRIVER,
+    "clone": CLONE,
+    "kit": KIT,
+}

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, MappingProxyType
+from types import FrameType
 from typing import Annotated
 
 from pydantic import Field
@@ -151,9 +151,11 @@ def stall(calibration: Calibration) -> tuple[TimedCommand, ...]:
     )
 
 
-REHEARSALS: Mapping[str, Callable[[Calibration], tuple[TimedCommand, ...]]] = MappingProxyType(
-    {"sweep": sweep, "push": push, "stall": stall}
-)
+REHEARSALS: Mapping[str, Callable[[Calibration], tuple[TimedCommand, ...]]] = {
+    "sweep": sweep,
+    "push": push,
+    "stall": stall,
+}
 
 
 def _hand_motion(ticks: Mapping[JointCalibration, int | None]) -> dict[str, object]:
@@ -173,15 +175,13 @@ READ_BYTES = 4096
 _OSPEED = 5  # index of the output speed in the result of tcgetattr
 
 # Baud rates of the servos that termios knows.
-_BAUDRATES: Mapping[int, int] = MappingProxyType(
-    {
-        termios.B1000000: 1_000_000,
-        termios.B500000: 500_000,
-        termios.B115200: 115_200,
-        termios.B57600: 57_600,
-        termios.B38400: 38_400,
-    }
-)
+_BAUDRATES: Mapping[int, int] = {
+    termios.B1000000: 1_000_000,
+    termios.B500000: 500_000,
+    termios.B115200: 115_200,
+    termios.B57600: 57_600,
+    termios.B38400: 38_400,
+}
 
 
 class UsbAdapter(Adapter):

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 from scservo_sdk import (
@@ -32,9 +31,7 @@ from scservo_sdk import (
 from robot.emulator.servo import EmulatedServo
 from robot.hardware.port import wire_time_s
 
-_NAMES: Mapping[int, str] = MappingProxyType(
-    {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}
-)
+_NAMES: Mapping[int, str] = {INST_WRITE: "write", INST_SYNC_WRITE: "sync_write", INST_ACTION: "action"}
 
 
 class WriteLog:
@@ -53,7 +50,7 @@ class WriteLog:
         self, now_s: float, code: int, address: int, data: Mapping[int, bytes], servos: Sequence[EmulatedServo[Any]]
     ) -> None:
         memory = servos[0].memory
-        what = {
+        write = {
             "instruction": _NAMES[code],
             "address": address,
             "data": {servo_id: list(values) for servo_id, values in data.items()},
@@ -62,7 +59,7 @@ class WriteLog:
                 for servo_id, values in data.items()
             },
         }
-        self._append(now_s, what, servos)
+        self._append(now_s, write, servos)
 
     def record_command(self, now_s: float, command: Mapping[str, object], servos: Sequence[EmulatedServo[Any]]) -> None:
         self._append(now_s, {"instruction": "command", "address": None, "data": {}, "command": command}, servos)
@@ -70,11 +67,11 @@ class WriteLog:
     def close(self) -> None:
         self._file.close()
 
-    def _append(self, now_s: float, what: Mapping[str, object], servos: Sequence[EmulatedServo[Any]]) -> None:
+    def _append(self, now_s: float, event: Mapping[str, object], servos: Sequence[EmulatedServo[Any]]) -> None:
         line = {
             "t": now_s,
             "machine_t": time.monotonic(),
-            **what,
+            **event,
             "present": {servo.servo_id: servo.present_ticks for servo in servos},
             "torque": {servo.servo_id: servo.named("TORQUE_ENABLE") for servo in servos},
             "goal": {servo.servo_id: servo.named("GOAL_POSITION") for servo in servos},

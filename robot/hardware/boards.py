@@ -53,7 +53,7 @@ def usb_id_text(usb_id: UsbId) -> str:
     return f"{usb_id[0]:04x}:{usb_id[1]:04x}"
 
 
-def _only(port: str, found: Sequence[ListPortInfo]) -> str:
+def _single_board(port: str, found: Sequence[ListPortInfo]) -> str:
     if len(found) == 1:
         return _stable_name(found[0])
     numbers = [
@@ -126,5 +126,5 @@ def resolve_port(port: str) -> str:
         choices, port, problem = [{usb_id}], usb_id_text(usb_id), "is the USB id of no serial device here"
     for usb_ids in choices:
         if found := [info for info in plugged_in if (info.vid, info.pid) in usb_ids]:
-            return _only(port, found)
+            return _single_board(port, found)
     raise PortError(port, f"{problem}: {_explain_missing(plugged_in)}")

@@ -37,7 +37,7 @@ class ArmRenderer:
 
     def link_pose(self, link: str) -> tuple[Point, Quaternion]:
         """Return position [m] and orientation of a link where the joints are."""
-        return self._world.link_pose(link)
+        return self._world.pose(link)
 
     def place(self, positions_rad: Mapping[str, float]) -> None:
         """Move the joints [rad or m]; a joint without a position goes to zero."""

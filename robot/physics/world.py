@@ -180,19 +180,16 @@ class World:
         states = []
         for name in movable:
             held = len(touching.get(_in_model(name), set()) & self._fingers) > 1
-            states.append(BodyState(name, *self._pose(_in_model(name)), held))
+            states.append(BodyState(name, *self.pose(_in_model(name)), held))
         return states
-
-    def link_pose(self, link: str) -> tuple[Point, Quaternion]:
-        """Return position [m] and orientation of a link."""
-        return self._pose(link)
 
     def color(self, colors: Mapping[str, Sequence[float]]) -> None:
         """Set the colours of bodies by name: red, green, blue, alpha."""
         for name in colors.keys() & self._bodies.keys():
             self.model.geom_rgba[self.model.geom_bodyid == self.model.body(_in_model(name)).id] = colors[name]
 
-    def _pose(self, name: str) -> tuple[Point, Quaternion]:
+    def pose(self, name: str) -> tuple[Point, Quaternion]:
+        """Return position [m] and orientation of a link, or of a body by its name in the model."""
         at = self.model.body(name).id
         x, y, z = self.data.xpos[at].tolist()
         qw, qx, qy, qz = self.data.xquat[at].tolist()

@@ -27,6 +27,7 @@ from planners.problem import (
     RecheckAnswer,
     RecheckQuestion,
 )
+from robot.arm import Splice
 from robot.arm_group import AnyArm
 from robot.description.model import RobotModel
 from robot.messages import ArmState, MotionEnded, Outcome, PlaybackDirection
@@ -418,7 +419,7 @@ class GoalExecutor:
         outgoing, now_s, continues = self._outgoing, self._clock(), None
         path_time = PathTime(now_s, 0.0, self._arm.rate)
         if outgoing is not None and point is not None:
-            continues = outgoing.ended, point.from_s, point.leaves_s
+            continues = Splice(outgoing.ended, point.from_s, point.leaves_s)
             path_time = PathTime(now_s, outgoing.path_time.at(now_s) - point.from_s, outgoing.path_time.rate)
         ended = self._arm.execute(motion, continues=continues, epoch=goal.epoch)
         goal.allow_replacement()

@@ -17,7 +17,7 @@ from protocol.codecs import cbor
 from protocol.codecs.pieces import encoding_cost_bytes
 from protocol.errors import NothingToDoError, OperationError, ProtocolError, describe, one_line, shorten
 from protocol.limits import Limits
-from protocol.operations import Mark, Operation
+from protocol.operations import Operation, OperationId
 from protocol.publication import LARGE_BYTES
 from protocol.send_queue import SendBudget
 from protocol.session import LaterFields, Refusal, Session
@@ -99,7 +99,7 @@ class ClientStatus:
         self._session.status("error", text, operation.id)
         self._context.wake()
 
-    def refuse_error(self, op: str, error: ProtocolError | GraphError, id_: Mark = None) -> None:
+    def refuse_error(self, op: str, error: ProtocolError | GraphError, id_: OperationId = None) -> None:
         # An OperationError names the operation itself.
         text = str(error) if isinstance(error, OperationError) else f"{op}: {error}"
         if isinstance(error, NothingToDoError):

@@ -6,7 +6,7 @@ from typing import Any, Generic, Literal
 
 from protocol import operations as ops
 from protocol.errors import NothingToDoError, OperationError
-from protocol.operations import Mark, Operation, qualify
+from protocol.operations import Operation, OperationId, qualify
 from protocol.session import with_id
 from server.gateway.client_context import MAX_VALUES_IN_FLIGHT, ClientContext
 from server.graph.actions import ActionGoal, Actions, GoalStatus, Result
@@ -35,7 +35,7 @@ class _Requests(Generic[AnyRequest]):
         self._offered: set[str] = set()
         # Requests that the client has to answer, by the ids that it got. No id is given twice, so that no late answer
         # ends another request.
-        self._requested: dict[Mark, AnyRequest] = {}
+        self._requested: dict[OperationId, AnyRequest] = {}
         self._numbers = itertools.count(1)
         self._values_in_flight = 0
 
@@ -70,7 +70,7 @@ class _Requests(Generic[AnyRequest]):
             raise OperationError(operation.op, "id", "no request of this id waits for an answer")
         return request
 
-    def fail(self, id_: Mark, problem: str) -> None:
+    def fail(self, id_: OperationId, problem: str) -> None:
         """End the request of this id, if there is one, whose answer cannot be read."""
         request = self._requested.get(id_)
         if request is not None:
@@ -120,11 +120,11 @@ class ClientServices(_Requests[Call]):
         else:
             call.fail(f"{call.title} failed" if operation.values is None else operation.values)
 
-    def reject_call(self, service: str, id_: Mark, problem: str) -> None:
+    def reject_call(self, service: str, id_: OperationId, problem: str) -> None:
         """Answer a call that is not made; ``service`` is as the client spells it."""
         self._answer(service, id_, Response(ok=False, values=problem))
 
-    def _answer(self, service: str, id_: Mark, response: Response, type_name: str | None = None) -> None:
+    def _answer(self, service: str, id_: OperationId, response: Response, type_name: str | None = None) -> None:
         fields = {"op": "service_response", "service": service, "values": response.values, "result": response.ok}
         self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Response" if response.ok else "")
 
@@ -170,7 +170,7 @@ class ClientServices(_Requests[Call]):
         return self._limit(self._calls_in_flight, "calls")
 
 
-def name_and_id(operation: ops.CallService) -> tuple[str, Mark]:
+def name_and_id(operation: ops.CallService) -> tuple[str, OperationId]:
     """Return the qualified name of a called service, and the id of the call."""
     # `/svc#7` is how rosbridge's first clients gave the id.
     service, _, id_in_name = operation.service.partition("#")
@@ -184,7 +184,7 @@ class ClientActions(_Requests[ActionGoal]):
         self._actions = context.graph.actions
         super().__init__(context, "action", self._actions)
         # Goals that the client has sent: action and the client's id.
-        self._sent: dict[ActionGoal, tuple[str, Mark]] = {}
+        self._sent: dict[ActionGoal, tuple[str, OperationId]] = {}
 
     def advertise(self, operation: ops.AdvertiseAction) -> None:
         action = operation.action
@@ -243,11 +243,11 @@ class ClientActions(_Requests[ActionGoal]):
 
             goal.when_ended(forget)
 
-    def reject_goal(self, action: str, id_: Mark, problem: str) -> None:
+    def reject_goal(self, action: str, id_: OperationId, problem: str) -> None:
         """Answer a goal that is not sent; ``action`` is as the client spells it."""
         self._answer(action, id_, Result(ok=False, status=GoalStatus.UNKNOWN, values=problem))
 
-    def _answer(self, action: str, id_: Mark, result: Result, type_name: str | None = None) -> None:
+    def _answer(self, action: str, id_: OperationId, result: Result, type_name: str | None = None) -> None:
         fields = {"op": "action_result", "action": action, "values": result.values}
         fields |= {"status": int(result.status), "result": result.ok}
         self._client.send_message(with_id(fields, id_), "values", f"{type_name}_Result" if result.ok else "")

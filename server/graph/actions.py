@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.messages import ListLimits
-from protocol.operations import Mark
+from protocol.operations import OperationId
 from server.errors import GraphError
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node, Rule
@@ -88,7 +88,7 @@ class ActionGoal(PendingRequest[Result]):
         uuid_of_goal = {"uuid": b64encode(self.goal_id).decode()}
         self.info: dict[str, Any] = {"goal_id": uuid_of_goal, "stamp": message_types.now().as_message()}
         self.status: int = GoalStatus.EXECUTING
-        self.sender_id: Mark = None
+        self.sender_id: OperationId = None
         self.sender_left = False
         self._on_feedback = on_feedback
         self._when_canceled: list[Callable[[], None]] = []

@@ -134,7 +134,7 @@ class ArmRig:
         self.alive = True
         self.config = messages.ArmConfig(**{"robot": ROBOT, "hardware": METAL, **settings})
         self.supervisor = Supervisor(
-            self.config, lambda message, _: self.sent.append(message), self.clock, Scheduling()
+            self.config, lambda message, **_: self.sent.append(message), self.clock, Scheduling()
         )
         self.bus: Bus = self.emulator.open_bus()
         self.pacer = Pacer(self.clock())

@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from robot.arm import Arm, ArmStream
+from robot.arm import Arm, ArmStream, Splice
 from robot.messages import ArmState, ChangePace, Mode, MotionEnded, MotionProgress, Outcome, Setpoint
 from robot.stop_epochs import STOP_EPOCHS, STOPPED_SINCE
 from robot.trajectory import Trajectory
@@ -82,7 +82,7 @@ class FakeArm:
         *,
         gripping: bool = False,
         torque_share: float = 1.0,
-        continues: tuple[asyncio.Future[MotionEnded], float, float] | None = None,
+        continues: Splice | None = None,
         epoch: int | None = None,
     ) -> asyncio.Future[MotionEnded]:
         if epoch is not None and epoch < self.last_stop:
@@ -91,12 +91,12 @@ class FakeArm:
             return stopped
         self.played.append(trajectory)
         if continues is not None:
-            if self.refusing or continues[0].done():
+            if self.refusing or continues.motion.done():
                 refused: asyncio.Future[MotionEnded] = asyncio.get_running_loop().create_future()
                 refused.set_result(MotionEnded(2, Outcome.REFUSED, "too late"))
                 return refused
-            self.continued.append(continues[1])
-            continues[0].set_result(MotionEnded(1, Outcome.STOPPED, "another takes its place"))
+            self.continued.append(continues.from_s)
+            continues.motion.set_result(MotionEnded(1, Outcome.STOPPED, "another takes its place"))
         self._motion = asyncio.get_running_loop().create_future()
         self.state = replace(self.state, mode=Mode.MOVING)
         return self._motion

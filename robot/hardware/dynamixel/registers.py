@@ -9,11 +9,9 @@ endian, signed ones in two's complement. The EEPROM can be written only while to
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from types import MappingProxyType
 
 from robot.hardware.interface import StatusFlag
-from robot.hardware.servos.registers import TWOS_COMPLEMENT, RegisterEnum, RegisterTable
-from robot.hardware.servos.registers import Area as Area
+from robot.hardware.servos.registers import TWOS_COMPLEMENT, Area, RegisterEnum, RegisterTable
 
 READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 
@@ -72,15 +70,13 @@ class Model:
     watchdog_firmware: int  # firmware from which it has the bus watchdog; e-manual, Bus Watchdog (98)
 
 
-MODELS: Mapping[str, Model] = MappingProxyType(
-    {
-        model.name: model
-        for model in (
-            Model("xl430-w250", 1060, 1400, 1.5, 6.4, has_current=False, watchdog_firmware=38),
-            Model("xl330-m288", 1200, 1470, 0.52, 10.8, has_current=True, watchdog_firmware=0),
-        )
-    }
-)
+MODELS: Mapping[str, Model] = {
+    model.name: model
+    for model in (
+        Model("xl430-w250", 1060, 1400, 1.5, 6.4, has_current=False, watchdog_firmware=38),
+        Model("xl330-m288", 1200, 1470, 0.52, 10.8, has_current=True, watchdog_firmware=0),
+    )
+}
 
 
 class OperatingMode(IntEnum):
@@ -114,16 +110,14 @@ TICKS_S_PER_VELOCITY_UNIT = 0.229 / 60.0 * 4096.0
 TICKS_S2_PER_ACCELERATION_UNIT = 214.577 / 3600.0 * 4096.0
 
 # Bits of HARDWARE_ERROR_STATUS; each that is set in SHUTDOWN switches torque off, until a reboot.
-HARDWARE_ERRORS: Mapping[int, StatusFlag] = MappingProxyType(
-    {
-        0x01: StatusFlag.VOLTAGE,
-        0x04: StatusFlag.TEMPERATURE,
-        0x08: StatusFlag.ENCODER,
-        # "Electrical shock, or insufficient power to operate the motor."
-        0x10: StatusFlag.CURRENT,
-        0x20: StatusFlag.OVERLOAD,
-    }
-)
+HARDWARE_ERRORS: Mapping[int, StatusFlag] = {
+    0x01: StatusFlag.VOLTAGE,
+    0x04: StatusFlag.TEMPERATURE,
+    0x08: StatusFlag.ENCODER,
+    # "Electrical shock, or insufficient power to operate the motor."
+    0x10: StatusFlag.CURRENT,
+    0x20: StatusFlag.OVERLOAD,
+}
 
 
 def status_of(hardware_error: int) -> StatusFlag:

@@ -18,8 +18,7 @@ from scservo_sdk import INST_PING, PacketHandler
 
 from robot.hardware.feetech.registers import TABLE
 from robot.hardware.port import BusPort
-from robot.hardware.servos.bus import BROADCAST_ID, MAX_BURST_BYTES, ServoBus
-from robot.hardware.servos.bus import StatusFrame as StatusFrame
+from robot.hardware.servos.bus import BROADCAST_ID, MAX_BURST_BYTES, ServoBus, StatusFrame
 
 HEADER = b"\xff\xff"
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from robot.errors import DescriptionError
@@ -40,42 +39,38 @@ class ServoProfile:
 # Feetech's memory table V3.6.
 FACTORY = ServoProfile(
     "factory",
-    MappingProxyType(
-        {
-            Register.MAX_TORQUE: 1000,
-            Register.P_GAIN: 32,
-            Register.D_GAIN: 32,
-            Register.I_GAIN: 0,
-            Register.PROTECTION_CURRENT: 500,
-            Register.PROTECTIVE_TORQUE: 20,
-            Register.PROTECTION_TIME: 200,
-            Register.OVERLOAD_TORQUE: 80,
-        }
-    ),
+    {
+        Register.MAX_TORQUE: 1000,
+        Register.P_GAIN: 32,
+        Register.D_GAIN: 32,
+        Register.I_GAIN: 0,
+        Register.PROTECTION_CURRENT: 500,
+        Register.PROTECTIVE_TORQUE: 20,
+        Register.PROTECTION_TIME: 200,
+        Register.OVERLOAD_TORQUE: 80,
+    },
 )
 
 LEROBOT = ServoProfile(
     "lerobot",
-    MappingProxyType({**FACTORY.registers, Register.P_GAIN: 16}),
-    MappingProxyType({Register.MAX_TORQUE: 500, Register.PROTECTION_CURRENT: 250, Register.OVERLOAD_TORQUE: 25}),
+    {**FACTORY.registers, Register.P_GAIN: 16},
+    {Register.MAX_TORQUE: 500, Register.PROTECTION_CURRENT: 250, Register.OVERLOAD_TORQUE: 25},
 )
 
-PROFILES: Mapping[str, ServoProfile] = MappingProxyType({each.name: each for each in (FACTORY, LEROBOT)})
+PROFILES: Mapping[str, ServoProfile] = {each.name: each for each in (FACTORY, LEROBOT)}
 
 # Meaning of a register that differs from the profile; formatted with its value.
-_MEANINGS: Mapping[Register, str] = MappingProxyType(
-    {
-        Register.P_GAIN: "with less gain the joint droops further under load, with more it may oscillate",
-        Register.D_GAIN: "with less damping the joint overshoots, with more it hums",
-        Register.I_GAIN: "the joint creeps on after it has reached its goal, and may swing",
-        Register.MAX_TORQUE: "the servo gives {percent:g} % of its torque at most",
-        Register.PROTECTION_CURRENT: "the servo switches off when it draws {ampere:.1f} A for long",
-        Register.PROTECTIVE_TORQUE: "after an overload {value} % of its torque are left",
-        Register.PROTECTION_TIME: "an overload latches after {seconds:g} s",
-        Register.OVERLOAD_TORQUE: "an overload latches when the load stays above {value} %",
-        Register.RETURN_DELAY: "every reply comes {delay_us} us later",
-    }
-)
+_MEANINGS: Mapping[Register, str] = {
+    Register.P_GAIN: "with less gain the joint droops further under load, with more it may oscillate",
+    Register.D_GAIN: "with less damping the joint overshoots, with more it hums",
+    Register.I_GAIN: "the joint creeps on after it has reached its goal, and may swing",
+    Register.MAX_TORQUE: "the servo gives {percent:g} % of its torque at most",
+    Register.PROTECTION_CURRENT: "the servo switches off when it draws {ampere:.1f} A for long",
+    Register.PROTECTIVE_TORQUE: "after an overload {value} % of its torque are left",
+    Register.PROTECTION_TIME: "an overload latches after {seconds:g} s",
+    Register.OVERLOAD_TORQUE: "an overload latches when the load stays above {value} %",
+    Register.RETURN_DELAY: "every reply comes {delay_us} us later",
+}
 
 
 def profile_of(spec: ProfileTable | None) -> ServoProfile | None:

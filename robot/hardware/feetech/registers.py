@@ -6,11 +6,8 @@ sign-magnitude with the sign in a bit that differs per register.
 
 import struct
 from collections.abc import Mapping
-from types import MappingProxyType
 
-from robot.hardware.servos.registers import Area as Area
-from robot.hardware.servos.registers import Block, RegisterEnum, RegisterTable
-from robot.hardware.servos.registers import Telemetry as Telemetry
+from robot.hardware.servos.registers import Area, Block, RegisterEnum, RegisterTable, Telemetry
 
 READ_ONLY, EEPROM, RAM = Area.READ_ONLY, Area.EEPROM, Area.RAM
 
@@ -69,7 +66,7 @@ class Register(RegisterEnum):
 BAUDRATES = (1_000_000, 500_000, 250_000, 128_000, 115_200, 76_800, 57_600, 38_400)
 
 # Register MODEL_NUMBER of the servos whose registers are these: Feetech's STS series.
-MODELS: Mapping[str, int] = MappingProxyType({"sts3215": 777, "sts3250": 2825})
+MODELS: Mapping[str, int] = {"sts3215": 777, "sts3250": 2825}
 
 GOAL_ADDRESS = Register.ACCELERATION
 

@@ -135,6 +135,7 @@ class ServoFamily(ABC):
         return Actuation.unprotected(free_speed_rad_s, np.full(len(joints), self.jump_rad))
 
     def settings(self, values: Values) -> dict[str, int]:
+        """Return the surveyed settings that reports on a servo show, by the names of their registers."""
         return {}
 
     def has_watchdog(self, joint: JointCalibration, values: Values) -> bool:

@@ -84,7 +84,7 @@ class SteppedChannel:
         del self.messages[: len(due)]
         return due
 
-    def send(self, message: object, *, droppable: bool) -> None:
+    def send(self, message: object, *, droppable: bool = False) -> None:
         self.sent.append((self.now_s, message))
         self.dropped[type(message)].add(droppable)
 

@@ -64,7 +64,7 @@ def moving(rig: ArmRig) -> ArmRig:
 
 def test_an_arm_that_was_not_read_has_no_positions(emulator: SteppedEmulator) -> None:
     arm = ControlCycle(unread_hardware(emulator), emulator.clock)
-    state = arm_state(arm, Mode.CONNECTED, None, "", (), emulator.clock)
+    state = arm_state(arm, Mode.CONNECTED, "", (), emulator.clock)
     assert state.position_rad is None
     health = arm_health(arm, state, "port", Pacer(0.0), emulator.clock, Scheduling())
     assert all(math.isnan(joint.position_rad) and joint.warnings for joint in health.joints)

@@ -10,8 +10,9 @@ from robot.emulator.plant import Plant
 from robot.emulator.populations import FACTORY, KIT, POPULATIONS, ROS2_DRIVER
 from robot.hardware.feetech.family import PHASE_MULTI_TURN
 from robot.hardware.feetech.profiles import LEROBOT
-from robot.hardware.feetech.registers import Area, Register
+from robot.hardware.feetech.registers import Register
 from robot.hardware.interface import StatusFlag
+from robot.hardware.servos.registers import Area
 from tests.helpers.robots import nominal_calibration, so101
 from tests.helpers.servo_families import FEETECH, run
 

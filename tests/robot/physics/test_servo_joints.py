@@ -168,7 +168,7 @@ def test_an_unstable_world_is_a_lost_arm_and_starts_again_from_its_last_position
     with pytest.raises(PortLost, match="the physics had no finite positions, and was reset"):
         arm.tick()
     assert arm.tick().position_rad == pytest.approx(before, abs=0.02)
-    assert world.link_pose("object/fixed")[0] == (0.0, 0.5, 0.05)
+    assert world.pose("object/fixed")[0] == (0.0, 0.5, 0.05)
 
 
 def test_a_starved_loop_makes_the_world_slow_and_never_faulty() -> None:

@@ -164,7 +164,8 @@ class Arm(ArmClock):
         self._bodies: SetBodies | None = None
         reason = "the arm process is starting"
         state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, task=STARTING_ARM, clock_s=time.monotonic())
-        self.state = self._with_speed_limit(replace(state, last_stop=self.last_stop))
+        state = replace(state, fault=config.fault, last_stop=self.last_stop, stopped=config.stopped)
+        self.state = self._with_speed_limit(state)
         # Age above which the latest state counts as stale [s].
         self.state_max_age_s = SILENT_S if config.hardware.simulated else STATE_MAX_AGE_S
         # Simulated joints of a restarted process continue from here.
@@ -497,7 +498,7 @@ class Arm(ArmClock):
         # not be switched on.
         last = self._last_connected
         clock = ClockReading(self.clock_s, self.state.stamp_s)
-        hardware = self._config.hardware.resumed(_position_rad(last), clock, driven=last.torque_enabled)
+        hardware = self._config.hardware.resumed(held_rad(last), clock, driven=last.torque_enabled)
         self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
         while True:
             await asyncio.sleep(self._restart_delay.after(ran_s))
@@ -630,10 +631,10 @@ def _epoch_of_request(epoch: int | None) -> int:
     return STOP_EPOCHS.present if epoch is None else epoch
 
 
-def _position_rad(state: ArmState) -> dict[str, float]:
+def held_rad(state: ArmState) -> dict[str, float]:
     """Return goals of a driven arm, else positions, by joint [rad]; empty for an arm that was never read."""
-    held_rad = state.goal_rad if state.torque_enabled else state.position_rad
-    return {} if held_rad is None else dict(zip(state.joint_names, held_rad.tolist(), strict=True))
+    each_rad = state.goal_rad if state.torque_enabled else state.position_rad
+    return {} if each_rad is None else dict(zip(state.joint_names, each_rad.tolist(), strict=True))
 
 
 def _settle(waiting: asyncio.Future[Ending] | None, answer: Ending) -> None:

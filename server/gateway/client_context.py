@@ -87,7 +87,8 @@ class ClientStatus:
         self._log(logging.WARNING, f"{self._node}: refused: {text}")
         unasked = unasked and self._unasked_errors_left > 0
         self._unasked_errors_left -= unasked
-        self._session.status("error", text, refusal.id, unasked=unasked)
+        # A person who means to stop the arm must not wait in vain.
+        self._session.status("error", text, refusal.id, unasked=unasked or "stop" in text.lower())
         self._context.wake()
 
     def reject(self, operation: Operation, reason: str) -> None:

@@ -225,7 +225,6 @@ class App:
             log.info("stopping")
         finally:
             restarts = self._restart.is_set() and not ending.is_set()
-            held = {name: state.torque_enabled for name, state in states_of(self._arms.whole.arm).items()}
             self._monitoring.monitor.notify_stopping(restarts=restarts)
             with arrived_in(STOP_EPOCHS.present):
                 await stop_in_reverse(started, STOP_TOTAL_S, hurry)
@@ -236,9 +235,8 @@ class App:
         # At the same place for its clients.
         settings = with_calibration(self._context.settings, self._recalibrated)
         place = settings.server.model_copy(update={"port": listener.port, "tcp_port": listener.tcp_port})
-        states = states_of(self._arms.whole.arm).items()
-        left = {name: replace(state, torque_enabled=held[name]) for name, state in states}
-        return settings.model_copy(update={"server": place}), replace(self._recalibrated, left=left)
+        left = replace(self._recalibrated, left=states_of(self._arms.whole.arm))
+        return settings.model_copy(update={"server": place}), left
 
     def _start_again(self, recalibrated: Recalibrated) -> None:
         """Have the server start again with a calibration: everything made with the old one is made again."""

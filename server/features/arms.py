@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from protocol.messages import Stamp
-from robot.arm import held_rad
+from robot.arm import config_of_next
 from robot.arm_group import ArmGroup
 from robot.errors import OrderRefused
-from robot.messages import ArmHealth, ArmState, EndState
+from robot.messages import ArmHealth, ArmState
 from robot.stop_epochs import STOP_EPOCHS
 from server.access.control_lease import ControlServices
 from server.arm.arms import ArmFiles, read_now
@@ -149,17 +149,13 @@ def with_calibration(settings: Settings, recalibrated: Recalibrated) -> Settings
 
 
 def resumed(arms: Mapping[str, ArmFiles], recalibrated: Recalibrated) -> dict[str, ArmFiles]:
-    """Return the arms as the server left them; those that it left relaxed, stopped or in a fault are not enabled."""
+    """Return the arms as the server has left them, one of them relaxed with a new calibration."""
     after = {}
     for name, state in recalibrated.left.items():
-        config, fault, held = arms[name].config, state.fault, state.torque_enabled
-        position_rad: Mapping[str, float] = held_rad(state)
+        config = config_of_next(arms[name].config, state)
         if name == recalibrated.arm:
-            position_rad, fault, held = recalibrated.position_rad, None, False
-        enabled = config.start_enabled and held and fault is None and not state.stopped
-        driven = enabled or (held and config.on_exit is EndState.HOLD)
-        hardware = config.hardware.resumed(position_rad, driven=driven)
-        config = replace(config, hardware=hardware, start_enabled=enabled, fault=fault, stopped=state.stopped)
+            hardware = config.hardware.resumed(recalibrated.position_rad, driven=False)
+            config = replace(config, hardware=hardware, fault=None)
         after[name] = replace(arms[name], config=config)
     return after
 

@@ -74,9 +74,7 @@ class ClientTopics:
         if "stop" in topic.lower() and not self._graph.subscribers(topic):
             text = f"publish: topic {topic}: nobody reads it, so nothing was stopped; /stop stops the arm"
             self._client.status.refuse(Refusal(operation.op, operation.id, text))
-        if operation.latch and not latch:
-            lost = NO_LATCH
-        lost = lost or self._graph.remarks.get(topic)
+        lost = NO_LATCH if operation.latch and not latch else lost or self._graph.remarks.get(topic)
         if lost is not None:
             self._client.status.tell("warning", operation, lost)
         if not operation.latch:

@@ -99,7 +99,8 @@ def test_a_new_calibration_is_that_of_its_arm_alone(tmp_path: Path) -> None:
     assert changed.arms["right"] == settings.arms["right"]
     after = resumed(arms, recalibrated)
     assert after["left"].config.hardware == arms["left"].config.hardware.resumed(position_rad, driven=False)
-    assert after["right"].config.start_enabled
+    # It is taken over as it holds.
+    assert after["right"].config.hardware == arms["right"].config.hardware.resumed({}, driven=True)
 
 
 LEFT_RELAXED = ArmState(0.0, Mode.RELAXED, ())
@@ -116,6 +117,7 @@ async def test_a_start_after_a_calibration_enables_no_other_arm_and_keeps_its_fa
     configs = {name: each.config for name, each in resumed(arms, recalibrated).items()}
     right = configs["right"]
     assert (right.start_enabled, right.fault, right.stopped) == (False, left.fault, left.stopped)
+    assert right.hardware == arms["right"].config.hardware.resumed({}, driven=left.torque_enabled)
     assert (configs["left"].start_enabled, configs["left"].stopped) == (False, left.stopped)
     # The handle passes both on to the arm process, and shows them before it has answered.
     state = Arm(right, lambda _state: None).state

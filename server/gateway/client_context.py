@@ -88,7 +88,8 @@ class ClientStatus:
         unasked = unasked and self._unasked_errors_left > 0
         self._unasked_errors_left -= unasked
         # A person who means to stop the arm must not wait in vain.
-        self._session.status("error", text, refusal.id, unasked=unasked or "stop" in text.lower())
+        misspelt_stop = refusal.op is None and "stop" in text.lower()
+        self._session.status("error", text, refusal.id, unasked=unasked or misspelt_stop)
         self._context.wake()
 
     def reject(self, operation: Operation, reason: str) -> None:
@@ -131,10 +132,7 @@ class ClientStatus:
         # Who has only shown a token has not shown yet that its other operations are right.
         if self._unasked_errors_left and not isinstance(operation, ops.Auth):
             self._unasked_errors_left = 0
-        if self._session.status_level == "none":
-            return
-        done = _DONE.get(type(operation))
-        if done is None:
+        if self._session.status_level == "none" or (done := _DONE.get(type(operation))) is None:
             return
         field, words = done
         self.tell("info", operation, f"{field} {getattr(operation, field)}: {words}")

@@ -17,7 +17,6 @@ LIFESPAN_S = 1.0
 
 NO_LATCH = "field latch: has no effect, it needs the role operate"
 
-
 # Topics of a client whose messages are tried the strict way; those beyond take the general one.
 MAX_STRICT_TOPICS = 1000
 
@@ -53,12 +52,9 @@ class ClientTopics:
         self._doubt_misspelt(operation, topic)
 
     def _doubt_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
-        if not self._client.status.hears_doubts:
-            return
-        if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
-            meant = self._graph.nearest_topic(topic)
-            if meant is not None:
-                self._client.status.doubt(operation, f"topic {topic}: nobody else uses it; did you mean {meant}?")
+        users = self._client.status.hears_doubts and {*self._graph.publishers(topic), *self._graph.subscribers(topic)}
+        if users == {self._node} and (meant := self._graph.nearest_topic(topic)) is not None:
+            self._client.status.doubt(operation, f"topic {topic}: nobody else uses it; did you mean {meant}?")
 
     def unadvertise(self, operation: Unadvertise) -> None:
         topic = qualify(operation.topic)
@@ -69,11 +65,11 @@ class ClientTopics:
 
     def publish(self, operation: Publish, message: ReceivedMessage) -> None:
         topic = qualify(operation.topic)
+        if topic.lower().rstrip("/").endswith("stop") and not self._graph.subscribers(topic):
+            text = f"publish: topic {topic}: nobody reads it, so nothing was stopped; /stop stops the arm"
+            self._client.status.refuse(Refusal(None, operation.id, text))
         latch = self._latches(operation)
         lost = self._graph.publish(self._node, topic, message, latch=latch, lifespan_s=LIFESPAN_S)
-        if "stop" in topic.lower() and not self._graph.subscribers(topic):
-            text = f"publish: topic {topic}: nobody reads it, so nothing was stopped; /stop stops the arm"
-            self._client.status.refuse(Refusal(operation.op, operation.id, text))
         lost = NO_LATCH if operation.latch and not latch else lost or self._graph.remarks.get(topic)
         if lost is not None:
             self._client.status.tell("warning", operation, lost)

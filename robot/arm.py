@@ -632,7 +632,7 @@ def config_of_next(config: ArmConfig, last: ArmState, clock: ClockReading | None
 
     A fault stays latched. An arm that holds is adopted; a relaxed arm, as by an emergency stop, is not switched on.
     """
-    # Goals of a driven arm, else positions [rad]; none of an arm that was never read.
+    # Goals of a driven arm, else positions [rad]; empty for an arm that was never read.
     each_rad = last.goal_rad if last.torque_enabled else last.position_rad
     position_rad = {} if each_rad is None else dict(zip(last.joint_names, each_rad.tolist(), strict=True))
     hardware = config.hardware.resumed(position_rad, clock, driven=last.torque_enabled)

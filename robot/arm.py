@@ -172,7 +172,8 @@ class Arm(ArmClock):
         self._bodies: SetBodies | None = None
         reason = "the arm process is starting"
         state = ArmState(time.time(), Mode.DISCONNECTED, (), reason=reason, task=STARTING_ARM, clock_s=time.monotonic())
-        self.state = self._with_speed_limit(replace(state, last_stop=self.last_stop))
+        state = replace(state, fault=config.fault, last_stop=self.last_stop, stopped=config.stopped)
+        self.state = self._with_speed_limit(state)
         # Age above which the latest state counts as stale [s].
         self.state_max_age_s = SILENT_S if config.hardware.simulated else STATE_MAX_AGE_S
         # Simulated joints of a restarted process continue from here.
@@ -503,12 +504,8 @@ class Arm(ArmClock):
 
     async def _start_again(self, ran_s: float) -> None:
         await self._process.kill()
-        # A fault stays latched. An arm that holds is adopted; a relaxed arm, perhaps relaxed by an emergency stop, must
-        # not be switched on.
-        last = self._last_connected
         clock = ClockReading(self.clock_s, self.state.stamp_s)
-        hardware = self._config.hardware.resumed(_position_rad(last), clock, driven=last.torque_enabled)
-        self._config = replace(self._config, hardware=hardware, start_enabled=False, fault=self.state.fault)
+        self._config = config_of_next(self._config, replace(self._last_connected, fault=self.state.fault), clock)
         while True:
             await asyncio.sleep(self._restart_delay.after(ran_s))
             # Python 3.11's wait_for may swallow the cancellation (bpo-37658).
@@ -640,10 +637,16 @@ def _epoch_of_request(epoch: int | None) -> int:
     return STOP_EPOCHS.present if epoch is None else epoch
 
 
-def _position_rad(state: ArmState) -> dict[str, float]:
-    """Return goals of a driven arm, else positions, by joint [rad]; empty for an arm that was never read."""
-    held_rad = state.goal_rad if state.torque_enabled else state.position_rad
-    return {} if held_rad is None else dict(zip(state.joint_names, held_rad.tolist(), strict=True))
+def config_of_next(config: ArmConfig, last: ArmState, clock: ClockReading | None = None) -> ArmConfig:
+    """Return the configuration of the process after one whose last state is given.
+
+    A fault stays latched. An arm that holds is adopted; a relaxed arm, as by an emergency stop, is not switched on.
+    """
+    # Goals of a driven arm, else positions [rad]; empty for an arm that was never read.
+    each_rad = last.goal_rad if last.torque_enabled else last.position_rad
+    position_rad = {} if each_rad is None else dict(zip(last.joint_names, each_rad.tolist(), strict=True))
+    hardware = config.hardware.resumed(position_rad, clock, driven=last.torque_enabled)
+    return replace(config, hardware=hardware, start_enabled=False, fault=last.fault, stopped=last.stopped)
 
 
 def _settle(waiting: asyncio.Future[Ending] | None, answer: Ending) -> None:

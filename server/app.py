@@ -5,7 +5,7 @@ import logging
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ from planners.interface import Planners
 from planners.pool import PlannerPool
 from planners.shared_pool import SharedPlanners
 from robot.arm import CLOSE_LIMIT_S
-from robot.arm_group import moves
+from robot.arm_group import moves, states_of
 from robot.messages import Mode
 from robot.processes import StartedChild
 from robot.stop_epochs import STOP_EPOCHS
@@ -235,7 +235,8 @@ class App:
         # At the same place for its clients.
         settings = with_calibration(self._context.settings, self._recalibrated)
         place = settings.server.model_copy(update={"port": listener.port, "tcp_port": listener.tcp_port})
-        return settings.model_copy(update={"server": place}), self._recalibrated
+        left = replace(self._recalibrated, left=states_of(self._arms.whole.arm))
+        return settings.model_copy(update={"server": place}), left
 
     def _start_again(self, recalibrated: Recalibrated) -> None:
         """Have the server start again with a calibration: everything made with the old one is made again."""

@@ -170,6 +170,15 @@ class Orders:
         controller.reset()
         return "the arm holds" if controller.torque_enabled else "the arm is relaxed"
 
+    def hold_still(self) -> None:
+        """Hold joints at their positions that are far from their goals: a reset in progress may have enabled them."""
+        controller, measured = self._arm.controller, self._arm.measured
+        if controller is None or measured is None or not controller.torque_enabled or controller.moving:
+            return
+        away_rad = np.abs(measured.position_rad - controller.goal_rad)
+        near = away_rad <= controller.guards.thresholds.goal_tolerance_rad
+        self._arm.hold(np.where(near, controller.goal_rad, measured.position_rad))
+
     def write_calibration(self, calibration: Calibration | None) -> Steps[str]:
         """Write a calibration into the servos of a relaxed arm; its readings then differ from this process's."""
         if calibration is None:

@@ -5,7 +5,7 @@ import contextlib
 import os
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from robot.arm import ORDER_TIMEOUT_S, SILENT_S, Arm
@@ -34,6 +34,7 @@ class Recalibrated:
     file: Path
     position_rad: Mapping[str, float]
     ended: Ended
+    left: Mapping[str, ArmState] = field(default_factory=dict)  # states in which the server leaves its arms, by name
 
 
 class CalibrationProcedure:

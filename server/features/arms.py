@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from protocol.messages import Stamp
+from robot.arm import config_of_next
 from robot.arm_group import ArmGroup
 from robot.errors import OrderRefused
 from robot.messages import ArmHealth, ArmState
@@ -147,10 +148,15 @@ def with_calibration(settings: Settings, recalibrated: Recalibrated) -> Settings
 
 
 def resumed(arms: Mapping[str, ArmFiles], recalibrated: Recalibrated) -> dict[str, ArmFiles]:
-    """Return the arms with the positions that one of them has under its new calibration."""
-    found = arms[recalibrated.arm]
-    hardware = found.config.hardware.resumed(recalibrated.position_rad, driven=False)
-    return {**arms, recalibrated.arm: replace(found, config=replace(found.config, hardware=hardware))}
+    """Return the arms as the server has left them, one of them relaxed with a new calibration."""
+    after = {}
+    for name, state in recalibrated.left.items():
+        config = config_of_next(arms[name].config, state)
+        if name == recalibrated.arm:
+            hardware = config.hardware.resumed(recalibrated.position_rad, driven=False)
+            config = replace(config, hardware=hardware, fault=None)
+        after[name] = replace(arms[name], config=config)
+    return after
 
 
 def teaching_of(context: ServerContext) -> Teaching:

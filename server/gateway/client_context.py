@@ -87,7 +87,9 @@ class ClientStatus:
         self._log(logging.WARNING, f"{self._node}: refused: {text}")
         unasked = unasked and self._unasked_errors_left > 0
         self._unasked_errors_left -= unasked
-        self._session.status("error", text, refusal.id, unasked=unasked)
+        # A person who means to stop the arm must not wait in vain.
+        misspelt_stop = refusal.op is None and "stop" in text.lower()
+        self._session.status("error", text, refusal.id, unasked=unasked or misspelt_stop)
         self._context.wake()
 
     def reject(self, operation: Operation, reason: str) -> None:
@@ -130,10 +132,7 @@ class ClientStatus:
         # A client that has shown a token may still spell all other operations wrongly.
         if self._unasked_errors_left and not isinstance(operation, ops.Auth):
             self._unasked_errors_left = 0
-        if self._session.status_level == "none":
-            return
-        done = _DONE.get(type(operation))
-        if done is None:
+        if self._session.status_level == "none" or (done := _DONE.get(type(operation))) is None:
             return
         field, words = done
         self.report("info", operation, f"{field} {getattr(operation, field)}: {words}")

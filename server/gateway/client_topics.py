@@ -5,6 +5,7 @@ import re
 from protocol.errors import OperationError, ProtocolError
 from protocol.operations import Advertise, Publish, Subscribe, Unadvertise, Unsubscribe, qualify
 from protocol.publication import PublishedMessage
+from protocol.session import Refusal
 from server.access.authorization import Authorizer
 from server.gateway.client_context import ClientContext
 from server.graph.message_types import PostponedError, ReceivedMessage
@@ -68,11 +69,12 @@ class ClientTopics:
 
     def publish(self, operation: Publish, message: ReceivedMessage) -> None:
         topic = qualify(operation.topic)
+        if topic.lower().rstrip("/").endswith("stop") and not self._graph.subscribers(topic):
+            text = f"publish: topic {topic}: nobody reads it, so nothing was stopped; /stop stops the arm"
+            self._client.status.refuse(Refusal(None, operation.id, text))
         latch = self._latches(operation)
         lost = self._graph.publish(self._node, topic, message, latch=latch, lifespan_s=LIFESPAN_S)
-        if operation.latch and not latch:
-            lost = NO_LATCH
-        lost = lost or self._graph.remarks.get(topic)
+        lost = NO_LATCH if operation.latch and not latch else lost or self._graph.remarks.get(topic)
         if lost is not None:
             self._client.status.report("warning", operation, lost)
         if not operation.latch:

@@ -157,6 +157,28 @@ def test_a_stop_while_another_client_has_the_control_ends_the_policy(
     assert arm.state().position_rad == pytest.approx(position_rad, abs=0.02)
 
 
+def test_a_stop_just_after_a_policy_is_resumed_ends_it(server: RunningServer, arm: Arm, tmp_path: Path) -> None:
+    arm.move_joints(UPRIGHT)
+    arm.release_control()
+    log = tmp_path / "policy.log"
+    with (
+        policy_server(tmp_path, "ramp") as stub,
+        log.open("w") as out,
+        running(options(stub, server, "--fps=30"), env=OFFLINE, cwd=tmp_path, stderr=out),
+    ):
+        assert next(followed(arm))
+        assert arm.chunks().pause() == "the policy is paused"
+        wait_until(lambda: "the policy waits: " in log.read_text())
+        # Until its next chunk belongs to no stream that the stop has ended.
+        paused_s, seen = time.monotonic(), len(stub.observations)
+        wait_until(lambda: time.monotonic() - paused_s > PAUSE_S, 2.0 * PAUSE_S)
+        assert arm.chunks().resume() == "the next chunk is followed"
+        arm.stop()
+        wait_until(lambda: "the policy ends: the arm was stopped" in log.read_text())
+        # It looks once more, and its chunk is refused.
+        assert len(stub.observations) <= seen + 1
+
+
 def test_a_person_pauses_the_policy_steers_and_gives_back(server: RunningServer, arm: Arm, tmp_path: Path) -> None:
     arm.move_joints(UPRIGHT)
     arm.release_control()

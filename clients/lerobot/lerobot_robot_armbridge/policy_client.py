@@ -168,10 +168,12 @@ class PolicyRunner:
             return
         log.info("the policy waits: %s", self._held)
         while self._held:
+            # A stop that comes just after the person has resumed the policy is a later one.
+            self._stops = self._link.stops
             time.sleep(POLL_S)
         log.info("the policy goes on")
         self._policy.reset()
-        self._near, self._stops = False, self._link.stops
+        self._near = False
 
     def _observe(self) -> Observation:
         stamp_s, positions_rad = self._link.state()

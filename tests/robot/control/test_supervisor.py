@@ -42,6 +42,7 @@ Start = Callable[..., ArmRig]
 PAN = smooth_move({"shoulder_pan": (0.0, 1.0)}, duration_s=1.5)
 SIMULATED = [EmulatedConfig(CALIBRATION), IdealConfig()]
 LOST = "serial port was lost"
+FALLEN_TICKS = 150
 
 
 @pytest.fixture
@@ -231,6 +232,30 @@ def test_a_stop_just_after_an_enabled_arm_was_enabled_once_more_leaves_it_holdin
     rig.run(3.0)
     assert rig.answer(100).message == "the arm is enabled already"
     assert (rig.mode, rig.torque()) == (Mode.HOLDING, [1] * 6)
+
+
+def test_a_stop_while_a_fault_is_reset_switches_no_joint_on_and_moves_none() -> None:
+    # Until the torque of the joint that has lost it has risen.
+    for at_s in (0.0, 0.05, 0.1, 0.2, 0.4, 0.6):
+        rig = ArmRig().started()
+        rig.emulator.command(power_cycle=[2])
+        rig.until(lambda rig=rig: rig.mode is Mode.FAULT, timeout_s=1.2)
+        fallen = rig.bus.read(2, Register.PRESENT_POSITION) + FALLEN_TICKS
+        rig.emulator.command(hand={"2": fallen})
+        rig.run(0.5)
+        rig.emulator.command(hand={"2": None})
+        number = rig.begin(Order.RESET_FAULT)
+        rig.run(at_s)
+        before = rig.torque()
+        rig.supervisor.handle(Stop(epoch=2))
+        assert rig.wait(number).message == "given up: a stop came", at_s
+        rig.run(1.0)
+        assert (rig.fault_code, rig.torque()) == ("servo_rebooted", before), at_s
+        if before[1]:
+            assert rig.bus.read(2, Register.PRESENT_POSITION) == pytest.approx(fallen, abs=20), at_s
+        rig.supervisor.handle(Command(100, Order.RESET_FAULT, epoch=3))
+        assert rig.wait(100).done
+        assert rig.torque() == [1] * 6
 
 
 def test_a_stop_does_not_break_off_relaxing(rig: ArmRig) -> None:

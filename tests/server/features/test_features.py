@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pytest
 from websockets.datastructures import Headers
 from websockets.http11 import Request
 
@@ -14,8 +15,11 @@ from harness.waiting import until
 from planners.pool import PlannerPool
 from protocol.registry import Registry
 from protocol.type_descriptions import message_hash
+from robot.arm import Arm
 from robot.description.model import RobotModel, parse
 from robot.description.servo_table import HardwareTable
+from robot.faults import Fault, FaultCode
+from robot.messages import ArmState, Mode
 from robot.stop_epochs import STOP_EPOCHS
 from server.app import App
 from server.arm.arms import ServedArm, read_arms
@@ -88,13 +92,36 @@ def test_a_new_calibration_is_that_of_its_arm_alone(tmp_path: Path) -> None:
     settings = Settings.model_validate({"arms": {"left": {}, "right": {}}})
     arms = read_arms(settings)
     position_rad = dict.fromkeys(arms["left"].joint_names, 0.1)
-    recalibrated = Recalibrated("left", tmp_path / "new.json", position_rad, Ended())
+    holding = {name: ArmState(0.0, Mode.HOLDING, (), torque_enabled=True) for name in arms}
+    recalibrated = Recalibrated("left", tmp_path / "new.json", position_rad, Ended(), holding)
     changed = with_calibration(settings, recalibrated)
     assert (changed.arms["left"].calibration, changed.arms["left"].start_enabled) == (tmp_path / "new.json", False)
     assert changed.arms["right"] == settings.arms["right"]
     after = resumed(arms, recalibrated)
     assert after["left"].config.hardware == arms["left"].config.hardware.resumed(position_rad, driven=False)
-    assert after["right"] is arms["right"]
+    # It is taken over as it holds.
+    assert after["right"].config.hardware == arms["right"].config.hardware.resumed({}, driven=True)
+
+
+LEFT_RELAXED = ArmState(0.0, Mode.RELAXED, ())
+LEFT_CUT = ArmState(0.0, Mode.FAULT, (), fault=Fault(FaultCode.EMERGENCY_STOP, "torque is off"))
+LEFT_STOPPED = ArmState(0.0, Mode.HOLDING, (), torque_enabled=True, stopped=True)
+
+
+@pytest.mark.parametrize("left", [LEFT_RELAXED, LEFT_CUT, LEFT_STOPPED])
+async def test_a_start_after_a_calibration_enables_no_other_arm_and_keeps_its_fault_and_stop(
+    tmp_path: Path, left: ArmState
+) -> None:
+    arms = read_arms(Settings.model_validate({"arms": {"left": {}, "right": {}}}))
+    recalibrated = Recalibrated("left", tmp_path / "new.json", {}, Ended(), {"left": left, "right": left})
+    configs = {name: each.config for name, each in resumed(arms, recalibrated).items()}
+    right = configs["right"]
+    assert (right.start_enabled, right.fault, right.stopped) == (False, left.fault, left.stopped)
+    assert right.hardware == arms["right"].config.hardware.resumed({}, driven=left.torque_enabled)
+    assert (configs["left"].start_enabled, configs["left"].stopped) == (False, left.stopped)
+    # The handle passes both on to the arm process, and shows them before it has answered.
+    state = Arm(right, lambda _state: None).state
+    assert (state.fault, state.stopped) == (left.fault, left.stopped)
 
 
 async def document(**settings: Any) -> Any:

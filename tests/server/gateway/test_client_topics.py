@@ -72,6 +72,18 @@ class TestMisspeltTopics:
         assert (told["op"], told["level"]) == ("status", "warning")
         assert told["msg"] == f"{op}: topic /moveit_goal_name: nobody else uses it; did you mean /moveit_goal_named?"
 
+    def test_a_misspelt_stop_is_answered_whatever_was_carried_out_before(self, world: InProcess) -> None:
+        world.say("x", op="advertise", topic="/estop", type="std_msgs/Empty")
+        for stop in ({"op": "publish", "topic": "/estop"}, {"op": "publish", "topic": "/Stop"}, {"op": "stop"}):
+            world.say("x", **stop)
+        *topics, unknown = (each["msg"] for each in world.heard("x"))
+        sentence = "publish: topic {}: nobody reads it, so nothing was stopped; /stop stops the arm"
+        assert topics == [sentence.format("/estop"), sentence.format("/Stop")]
+        assert unknown.startswith("field op: wanted one of ")
+        world.graph.subscribe(Node("server"), "/estop", "std_msgs/Empty", Subscriber(lambda _: None))
+        world.say("x", op="publish", topic="/estop")
+        assert world.heard("x") == []
+
     def test_clients_without_warnings_cost_nothing(self, world: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
         world.say("x", op="advertise", topic="/chat", type="std_msgs/String")
         compared: list[str] = []

@@ -55,9 +55,8 @@ class ClientTopics:
         if not self._client.status.hears_doubts:
             return
         if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
-            meant = self._graph.nearest_topic(topic)
-            if meant is not None:
-                self._client.status.doubt(operation, f"topic {topic}: nobody else uses it; did you mean {meant}?")
+            if hint := self._graph.topic_hint(topic):
+                self._client.status.doubt(operation, f"topic {topic}: nobody else uses it{hint}")
 
     def unadvertise(self, operation: Unadvertise) -> None:
         topic = qualify(operation.topic)

@@ -12,7 +12,7 @@ from protocol.errors import InterfaceError, MessageError
 from protocol.messages import ListLimits
 from protocol.registry import Kind
 from server.errors import GraphError
-from server.graph.index import Index, TypedNames
+from server.graph.index import Hints, Index, TypedNames
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node, Rule
 from server.timers import CallLater
@@ -96,12 +96,15 @@ class Provider(Generic[AnyRequest]):
 class Providers(Generic[AnyRequest]):
     """All offers of one kind, one a name; base of :class:`Services` and :class:`Actions`."""
 
-    def __init__(self, kind: ProvidedKind, limit: int, message_types: MessageTypes, call_later: CallLater) -> None:
+    def __init__(
+        self, kind: ProvidedKind, limit: int, message_types: MessageTypes, hints: Hints, call_later: CallLater
+    ) -> None:
         self.names = TypedNames()
         self.rules: dict[str, Rule] = {}
         self._kind = kind
         self._limit = limit
         self._message_types = message_types
+        self._hints = hints
         self._call_later = call_later
         self._offers: dict[str, Provider[AnyRequest]] = {}
         self._by_node: Index[Node, Provider[AnyRequest]] = Index()
@@ -111,6 +114,11 @@ class Providers(Generic[AnyRequest]):
     def provider(self, name: str) -> Node | None:
         offer = self._offers.get(name)
         return None if offer is None else offer.node
+
+    def _missing(self, name: str) -> str:
+        """Return the end of the sentence about a name that nobody offers."""
+        own = (offer.name for offer in self._offers.values() if not offer.node.remote)
+        return f"does not exist{self._hints.hint(name, own)}"
 
     def providers_of_type(self, type_name: str) -> set[Node]:
         """Return the nodes that provide something of a type, in the spelling of either dialect."""

@@ -54,9 +54,9 @@ class ClientTopics:
     def _doubt_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
         if not self._client.status.hears_doubts:
             return
-        if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
-            if hint := self._graph.topic_hint(topic):
-                self._client.status.doubt(operation, f"topic {topic}: nobody else uses it{hint}")
+        users = {*self._graph.publishers(topic), *self._graph.subscribers(topic)}
+        if users == {self._node} and (hint := self._graph.topic_hint(topic)):
+            self._client.status.doubt(operation, f"topic {topic}: nobody else uses it{hint}")
 
     def unadvertise(self, operation: Unadvertise) -> None:
         topic = qualify(operation.topic)

@@ -148,7 +148,7 @@ class Actions(Providers[ActionGoal]):
     """All actions, with their goals by id in base64; each has a service ``<action>/_action/cancel_goal``."""
 
     def __init__(self, topics: Graph, clock: Callable[[], float], call_later: CallLater) -> None:
-        super().__init__("action", MAX_ACTIONS, topics.message_types, topics.hints, call_later)
+        super().__init__("action", MAX_ACTIONS, topics.message_types, topics.hint, call_later)
         self._services = topics.services
         self._topics = topics
         self._clock = clock

@@ -3,22 +3,10 @@
 They let a look-up cost what it returns, however many topics, offers and requests of others there are.
 """
 
-import difflib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from typing import Generic, TypeVar
 
 from protocol.dialect import Dialect, spell_type
-from robot.logs import LogLimiter
-
-# Likeness of a misspelt name to one of the server's own, by difflib's measure: two letters of ten. Longer names are not
-# compared, for the time grows with the square of the length.
-LIKENESS = 0.8
-MAX_COMPARED_CHARACTERS = 100
-
-# A comparison takes up to a millisecond, twenty times as long as to refuse an operation: a number at once, and a number
-# in a second in the long run, for all clients together.
-COMPARISONS_AT_ONCE = 20
-COMPARISONS_PER_S = 2.0
 
 Key = TypeVar("Key")
 Item = TypeVar("Item")
@@ -108,18 +96,3 @@ class TypedNames:
     def of_type(self, type_name: str) -> list[str]:
         """Return the names that have a type, in order of entry; none for an unknown type."""
         return self._by_type.of(spell_type(type_name, "ros1"))
-
-
-class Hints:
-    """Hints at the topic, service or action that was meant by a misspelt name."""
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
-        self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
-
-    def hint(self, name: str, own: Iterable[str]) -> str:
-        """Return the end of a sentence about a name; empty where none of the server's own is like it, or no time."""
-        if len(name) > MAX_COMPARED_CHARACTERS or not self._comparisons.due("comparison", self._clock()):
-            return ""
-        found = difflib.get_close_matches(name, list(own), n=1, cutoff=LIKENESS)
-        return f"; did you mean {found[0]}?" if found else ""

@@ -16,10 +16,9 @@ from protocol.errors import MessageError
 from protocol.messages import ListLimits
 from robot.errors import RobotError
 from server.errors import NoAnswerError, ServerError, UnsuccessfulError
-from server.graph.index import Hints
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node, Rule
-from server.graph.providers import CompleteResponse, PendingRequest, Providers
+from server.graph.providers import CompleteResponse, Hint, PendingRequest, Providers
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
@@ -131,8 +130,8 @@ DEFAULT_LIMITS = ListLimits()
 class Services(Providers[Call]):
     """All services."""
 
-    def __init__(self, message_types: MessageTypes, hints: Hints, call_later: CallLater) -> None:
-        super().__init__("service", MAX_SERVICES, message_types, hints, call_later)
+    def __init__(self, message_types: MessageTypes, hint: Hint, call_later: CallLater) -> None:
+        super().__init__("service", MAX_SERVICES, message_types, hint, call_later)
 
     def offer(
         self,

@@ -9,10 +9,11 @@ publisher lives, without it every message for a second (rosbridge_library, inter
 
 from __future__ import annotations
 
+import difflib
 import logging
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -21,9 +22,10 @@ from protocol.messages import ListLimits, Stamp
 from protocol.publication import PublishedMessage
 from protocol.registry import Registry
 from protocol.strict_messages import PublicationReader, publication_reader
+from robot.logs import LogLimiter
 from server.errors import GraphError
 from server.graph.actions import MAX_GOAL_S, ActionGoal, Actions
-from server.graph.index import Hints, Index, TypedNames
+from server.graph.index import Index, TypedNames
 from server.graph.latching import LatchedMessages
 from server.graph.message_types import MessageTypes, ReceivedMessage
 from server.graph.permissions import Node, Rule
@@ -42,6 +44,16 @@ MAX_TOPICS_FOR_VIEWERS = MAX_TOPICS // 2
 # Topics that a client publishes on, also without having advertised them: the default limit of advertised ones, and as
 # many again. It must not take long to forget a client that has left.
 MAX_TOPICS_OF_PUBLISHER = 2_000
+
+# Likeness of a misspelt name to one of the server's own, by difflib's measure: two letters of ten. Longer names are not
+# compared, for the time grows with the square of the length.
+LIKENESS = 0.8
+MAX_COMPARED_CHARACTERS = 100
+
+# A comparison takes up to a millisecond, twenty times as long as to refuse an operation: a number at once, and a number
+# in a second in the long run, for all clients together.
+COMPARISONS_AT_ONCE = 20
+COMPARISONS_PER_S = 2.0
 
 # Some clients open a new socket between advertise and publish.
 UNREGISTER_TIMEOUT_S = 10.0
@@ -107,10 +119,10 @@ class Graph:
         unregister_timeout_s: float = UNREGISTER_TIMEOUT_S,
     ) -> None:
         self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
-        self.hints = Hints(clock)
-        self.services = Services(self.message_types, self.hints, call_later)
+        self.services = Services(self.message_types, self.hint, call_later)
         self.actions = Actions(self, clock, call_later)
         self.clock, self.call_later = clock, call_later
+        self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
         self._unregister_timeout_s = unregister_timeout_s
         self.topic_names = TypedNames()
         self._topics: dict[str, Topic] = {}
@@ -147,8 +159,14 @@ class Graph:
         topic = self._topics.get(name)
         return None if topic is None or self._outlived(topic) else topic.type_name
 
+    def hint(self, name: str, own: Iterable[str]) -> str:
+        """Return the end of a sentence about an unknown name: the server's own that is like it; empty without."""
+        if len(name) > MAX_COMPARED_CHARACTERS or not self._comparisons.due("comparison", self.clock()):
+            return ""
+        found = difflib.get_close_matches(name, list(own), n=1, cutoff=LIKENESS)
+        return f"; did you mean {found[0]}?" if found else ""
+
     def topic_hint(self, name: str) -> str:
-        """Return the end of a sentence, which names the server's own topic with nearly the given name; or empty."""
         own = (
             topic
             for index in (self.publications, self.subscriptions)
@@ -156,7 +174,7 @@ class Graph:
             if not node.remote
             for topic in index.of(node)
         )
-        return self.hints.hint(name, own)
+        return self.hint(name, own)
 
     def publishers(self, name: str) -> list[Node]:
         topic = self._topics.get(name)

@@ -14,12 +14,13 @@ from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
+import numpy as np
 import orjson
+from numpy.typing import NDArray
 
 from robot.messages import ArmHealth, ArmState, Mode
-from robot.trajectory import Vector
 from server.disk import Disk
 from server.monitoring.log_ring import LogRing
 from server.named_files import FileSeries
@@ -33,9 +34,6 @@ WINDOW_S = 60.0
 # They come 100 times a second at most, and take some 300 kB of a file.
 MAX_STATES = 1000
 QUANTITIES = ("position_rad", "goal_rad", "load", "current_a")
-
-# Time of the arm [s], and the quantities of all joints; None for an arm that does not have one.
-Sample: TypeAlias = tuple[float, tuple[Vector | None, ...]]
 
 # A client that causes and resets faults without end must not wear out a memory card; the next file logs this fault.
 LEAST_INTERVAL_S = 10.0
@@ -59,7 +57,8 @@ class FaultFiles:
         self._robot_name = robot_name
         self._clock = clock
         self._state: ArmState | None = None
-        self._samples: deque[Sample] = deque(maxlen=MAX_STATES)
+        # Time of the arm [s], and the quantities, shape (quantities, joints).
+        self._samples: deque[tuple[float, NDArray[np.float64]]] = deque(maxlen=MAX_STATES)
         self._health: ArmHealth | None = None
         self._written_s = -math.inf
         self._writing: set[asyncio.Task[None]] = set()
@@ -73,8 +72,9 @@ class FaultFiles:
         if self._files is None:
             return
         before, self._state = self._state, state
-        if state.position_rad is not None:
-            self._samples.append((state.clock_s, (state.position_rad, state.goal_rad, state.load, state.current_a)))
+        figures = [getattr(state, name) for name in QUANTITIES]
+        if all(each is not None for each in figures):
+            self._samples.append((state.clock_s, np.array(figures)))
         fault = state.fault
         if fault is not None and (before is None or fault != before.fault):
             about = {"code": fault.code.value, "message": fault.message, "remedy": fault.remedy, "joint": fault.joint}
@@ -105,8 +105,12 @@ class FaultFiles:
         def content() -> bytes:
             options = orjson.OPT_APPEND_NEWLINE | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
             # A number that is none, or infinite, is null. A named tuple, as of a warning, is left to us.
-            # The clock of an arm process that was started again may be behind.
-            states = (_state_line(each, end_s) for each in samples if 0.0 <= end_s - each[0] <= WINDOW_S)
+            states = (
+                {"kind": "state", "time_s": round(at_s - end_s, 3), **dict(zip(QUANTITIES, rows.round(4), strict=True))}
+                for at_s, rows in samples
+                # The clock of an arm process that was started again may be behind.
+                if 0.0 <= end_s - at_s <= WINDOW_S
+            )
             return b"".join(orjson.dumps(line, default=list, option=options) for line in (*lines, *states))
 
         try:
@@ -133,9 +137,3 @@ class FaultFiles:
         for line in self._log_ring.since(now_s - WINDOW_S):
             fields = {"time_s": round(line.monotonic_s - now_s, 3), "level": logging.getLevelName(line.level)}
             yield {"kind": "log", **fields, "process": line.process, "logger": line.logger, "text": line.text}
-
-
-def _state_line(sample: Sample, end_s: float) -> dict[str, Any]:
-    at_s, values = sample
-    figures = zip(QUANTITIES, (None if value is None else value.round(4) for value in values), strict=True)
-    return {"kind": "state", "time_s": round(at_s - end_s, 3), **dict(figures)}

@@ -6,10 +6,9 @@ import pytest
 from harness.waiting import TIMEOUT_S
 from protocol.messages import BUDGET, MAX_READ_VALUES, ListLimits
 from server.errors import GraphError, ServiceError
-from server.graph.index import Hints
-from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node
 from server.graph.services import LOCAL_TIMEOUT_S, MAX_TIMEOUT_S, Call, Response, Services
+from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import settle
 from tests.helpers.messages import REGISTRY
@@ -26,7 +25,7 @@ def clock() -> FakeClock:
 
 @pytest.fixture
 def services(clock: FakeClock) -> Services:
-    return Services(MessageTypes(REGISTRY), Hints(clock), clock.call_later)
+    return Graph(REGISTRY, clock, call_later=clock.call_later).services
 
 
 @pytest.fixture
@@ -143,8 +142,7 @@ def test_a_misspelt_service_is_refused_with_the_server_s_service_that_was_meant(
 
 def test_the_number_of_services_is_bounded_and_a_repeated_offer_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.graph.services.MAX_SERVICES", 2)
-    clock = FakeClock()
-    services = Services(MessageTypes(REGISTRY), Hints(clock), clock.call_later)
+    services = Graph(REGISTRY).services
     for name in ("/a", "/b", "/b"):
         services.offer(SERVER, name, SET_BOOL, lambda _: ON)
     with pytest.raises(GraphError, match="service /c: cannot be added: there are 2 services already"):

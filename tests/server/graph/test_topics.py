@@ -9,7 +9,6 @@ from protocol.messages import BUDGET, ListLimits
 from protocol.publication import PublishedMessage
 from server.errors import GraphError
 from server.graph import latching, topics
-from server.graph.index import COMPARISONS_AT_ONCE
 from server.graph.permissions import STOP_EVENT, STOPPING, Identity, Node, Role
 from server.graph.topics import MAX_TOPICS_FOR_VIEWERS, MAX_TOPICS_OF_PUBLISHER, UNREGISTER_TIMEOUT_S, Graph, Subscriber
 from tests.helpers.clock import FakeClock
@@ -251,8 +250,8 @@ def test_every_change_of_who_uses_a_topic_counts_and_a_message_does_not() -> Non
 
 def test_names_are_compared_a_few_times_a_second_however_many_are_wrong(graph: Graph, clock: FakeClock) -> None:
     graph.subscribe(Node("server"), "/moveit_goal_named", "std_msgs/String", IGNORED)
-    hints = [graph.topic_hint("/moveit_goal_nmaed") for _ in range(COMPARISONS_AT_ONCE + 1)]
-    assert hints == ["; did you mean /moveit_goal_named?"] * COMPARISONS_AT_ONCE + [""]
+    hints = [graph.topic_hint("/moveit_goal_nmaed") for _ in range(topics.COMPARISONS_AT_ONCE + 1)]
+    assert hints == ["; did you mean /moveit_goal_named?"] * topics.COMPARISONS_AT_ONCE + [""]
     clock.now_s += 1.0
     assert graph.topic_hint("/moveit_goal_nmaed") == hints[0]
 

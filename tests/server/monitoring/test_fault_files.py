@@ -20,7 +20,6 @@ from robot.messages import ArmState, Mode
 from server.graph.topics import Graph
 from server.monitoring.fault_files import LEAST_INTERVAL_S, MAX_STATES, FaultFiles
 from server.monitoring.log_ring import MAX_CHARACTERS, MAX_LINES, SERVICE, LogRing, shown
-from tests.helpers.cost import count_calls
 from tests.helpers.graph import answered
 from tests.helpers.messages import REGISTRY
 from tests.server.monitoring.watched_parts import JOINTS, arm_health
@@ -196,11 +195,6 @@ async def test_states_of_an_earlier_arm_process_are_left_out_and_figures_that_ar
     await world.latch(at_s=0.1)
     states = world.lines("state")
     assert ([each["time_s"] for each in states], states[0]["current_a"]) == ([-0.1, 0.0], [None, 0.5])
-
-
-def test_a_state_without_a_fault_is_kept_in_a_few_calls(world: World) -> None:
-    taken = state(0.01)
-    assert count_calls(lambda: world.files.take_state(taken)) < 5
 
 
 async def test_one_fault_leaves_one_file_and_the_next_one_another(world: World) -> None:

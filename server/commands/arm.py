@@ -10,14 +10,7 @@ from typing import Any, cast, get_args
 
 from robot.calibration import Calibration
 from robot.commissioning.doctor import Finding, Verdict, judge_cycles, judge_long_reads, judge_scan
-from robot.commissioning.scan import (
-    BAUDRATES,
-    ScanResult,
-    ServoRegisters,
-    explain_missing,
-    measure_cycles,
-    scan,
-)
+from robot.commissioning.scan import BAUDRATES, ScanResult, ServoRegisters, explain_missing, measure_cycles, scan
 from robot.description.servo_table import ServoKind, ServoSpec
 from robot.errors import NoReply
 from robot.hardware.boards import resolve_port

@@ -41,9 +41,7 @@ def add_camera_parser(subparsers: Subparsers) -> None:
         + WITH_TOKEN,
     )
     parser.add_argument(
-        "device",
-        metavar="DEVICE",
-        help="number or path of a camera, a video file, or test for a test pattern",
+        "device", metavar="DEVICE", help="number or path of a camera, a video file, or test for a test pattern"
     )
     add_connect(parser)
     parser.add_argument("--topic", default=CAMERA_TOPIC, help=f"of the images ({CAMERA_TOPIC})")

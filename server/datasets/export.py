@@ -245,11 +245,7 @@ def _arm_of(samples: Samples, joints: Sequence[str], options: ExportOptions) -> 
         "units": options.units,
         "calibration": hashlib.sha256(calibrated.encode()).hexdigest()[:12] if calibrated else "",
         "joints": {
-            name: {
-                "zero_rad": zero_rad,
-                "range_rad": samples.ranges.get(name),
-                "limits_rad": samples.limits.get(name),
-            }
+            name: {"zero_rad": zero_rad, "range_rad": samples.ranges.get(name), "limits_rad": samples.limits.get(name)}
             for name, zero_rad in samples.zeros_rad(joints).items()
         },
     }
@@ -268,11 +264,7 @@ def camera_keys(topics: Iterable[str]) -> dict[str, str]:
 
 
 def _write_videos(
-    root: Path,
-    topics: Mapping[str, str],
-    episodes: Sequence[EpisodeFrames],
-    options: ExportOptions,
-    registry: Registry,
+    root: Path, topics: Mapping[str, str], episodes: Sequence[EpisodeFrames], options: ExportOptions, registry: Registry
 ) -> dict[str, lerobot.CameraVideo]:
     """Write the video of each camera; return them by the cameras' keys."""
     # Camera -> image -> episodes that show it, each with the number of its frames.

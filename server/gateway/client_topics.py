@@ -55,10 +55,9 @@ class ClientTopics:
     def _hint_at_misspelt(self, operation: Advertise | Subscribe, topic: str) -> None:
         if not self._client.status.gets_hints:
             return
-        if {*self._graph.publishers(topic), *self._graph.subscribers(topic)} == {self._node}:
-            meant = self._graph.nearest_topic(topic)
-            if meant is not None:
-                self._client.status.hint(operation, f"topic {topic}: nobody else uses it; did you mean {meant}?")
+        users = {*self._graph.publishers(topic), *self._graph.subscribers(topic)}
+        if users == {self._node} and (hint := self._graph.topic_hint(topic)):
+            self._client.status.hint(operation, f"topic {topic}: nobody else uses it{hint}")
 
     def unadvertise(self, operation: Unadvertise) -> None:
         topic = qualify(operation.topic)

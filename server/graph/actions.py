@@ -150,7 +150,7 @@ class Actions(Providers[ActionGoal]):
     """All actions, with their goals by id in base64; each has a service ``<action>/_action/cancel_goal``."""
 
     def __init__(self, topics: Graph, clock: Callable[[], float], call_later: CallLater) -> None:
-        super().__init__("action", MAX_ACTIONS, topics.message_types, call_later)
+        super().__init__("action", MAX_ACTIONS, topics.message_types, topics.hint, call_later)
         self._services = topics.services
         self._topics = topics
         self._clock = clock
@@ -246,7 +246,7 @@ class Actions(Providers[ActionGoal]):
     def _offer(self, name: str, type_name: str, goal_id: bytes | None) -> Provider[ActionGoal]:
         offer = self._offers.get(name)
         if offer is None:
-            raise GraphError("action", name, "does not exist")
+            raise GraphError("action", name, self._missing(name))
         if self._message_types.canonical(type_name, "action") != offer.type_name:
             raise GraphError("action", name, f"is of type {offer.type_name}, not {type_name}")
         if goal_id is not None and b64encode(goal_id).decode() in offer.requests:

@@ -4,7 +4,7 @@ A request is ended once, by its provider, its deadline or its caller's departure
 """
 
 import logging
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Generic, Literal, TypeAlias, TypeVar
 
@@ -77,6 +77,9 @@ _TYPE_KINDS: dict[ProvidedKind, Kind] = {"service": "srv", "action": "action"}
 
 _REQUESTS: dict[ProvidedKind, str] = {"service": "Request", "action": "Goal"}
 
+# Returns the end of a sentence about an unknown name: which of the server's own may be meant.
+Hint: TypeAlias = Callable[[str, Iterable[str]], str]
+
 AnyRequest = TypeVar("AnyRequest", bound=PendingRequest[Any])
 
 
@@ -96,12 +99,15 @@ class Provider(Generic[AnyRequest]):
 class Providers(Generic[AnyRequest]):
     """All offers of one kind, one a name; base of :class:`Services` and :class:`Actions`."""
 
-    def __init__(self, kind: ProvidedKind, limit: int, message_types: MessageTypes, call_later: CallLater) -> None:
+    def __init__(
+        self, kind: ProvidedKind, limit: int, message_types: MessageTypes, hint: Hint, call_later: CallLater
+    ) -> None:
         self.names = TypedNames()
         self.rules: dict[str, Rule] = {}
         self._kind = kind
         self._limit = limit
         self._message_types = message_types
+        self._hint = hint
         self._call_later = call_later
         self._offers: dict[str, Provider[AnyRequest]] = {}
         self._by_node: Index[Node, Provider[AnyRequest]] = Index()
@@ -111,6 +117,11 @@ class Providers(Generic[AnyRequest]):
     def provider(self, name: str) -> Node | None:
         offer = self._offers.get(name)
         return None if offer is None else offer.node
+
+    def _missing(self, name: str) -> str:
+        """Return the end of the sentence about a name that nobody offers."""
+        own = (offer.name for offer in self._offers.values() if not offer.node.remote)
+        return f"does not exist{self._hint(name, own)}"
 
     def providers_of_type(self, type_name: str) -> set[Node]:
         """Return the nodes that provide something of a type, in the spelling of either dialect."""

@@ -18,7 +18,7 @@ from robot.errors import RobotError
 from server.errors import NoAnswerError, ServerError, UnsuccessfulError
 from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node, Rule
-from server.graph.providers import CompleteResponse, PendingRequest, Providers
+from server.graph.providers import CompleteResponse, Hint, PendingRequest, Providers
 from server.timers import CallLater
 
 log = logging.getLogger("armbridge.graph")
@@ -130,8 +130,8 @@ DEFAULT_LIMITS = ListLimits()
 class Services(Providers[Call]):
     """All services."""
 
-    def __init__(self, message_types: MessageTypes, call_later: CallLater) -> None:
-        super().__init__("service", MAX_SERVICES, message_types, call_later)
+    def __init__(self, message_types: MessageTypes, hint: Hint, call_later: CallLater) -> None:
+        super().__init__("service", MAX_SERVICES, message_types, hint, call_later)
 
     def offer(
         self,
@@ -189,7 +189,7 @@ class Services(Providers[Call]):
         offer = self._offers.get(name)
         if offer is None:
             # The words of rosbridge_library (internal/services.py), which clients look for.
-            on_response(Response(ok=False, values=f"Service {name} does not exist"))
+            on_response(Response(ok=False, values=f"Service {name} {self._missing(name)}"))
             return None
         try:
             request = self._completed(offer, arguments)

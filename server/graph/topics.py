@@ -13,7 +13,7 @@ import difflib
 import logging
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -45,7 +45,7 @@ MAX_TOPICS_FOR_VIEWERS = MAX_TOPICS // 2
 # many again. It must not take long to forget a client that has left.
 MAX_TOPICS_OF_PUBLISHER = 2_000
 
-# Likeness of a misspelt topic to the server's own, by difflib's measure: two letters of ten. Longer names are not
+# Likeness of a misspelt name to one of the server's own, by difflib's measure: two letters of ten. Longer names are not
 # compared, for the time grows with the square of the length.
 LIKENESS = 0.8
 MAX_COMPARED_CHARACTERS = 100
@@ -119,7 +119,7 @@ class Graph:
         unregister_timeout_s: float = UNREGISTER_TIMEOUT_S,
     ) -> None:
         self.message_types = MessageTypes(registry, wall_clock, relay_unknown_types=relay_unknown_types)
-        self.services = Services(self.message_types, call_later)
+        self.services = Services(self.message_types, self.hint, call_later)
         self.actions = Actions(self, clock, call_later)
         self.clock, self.call_later = clock, call_later
         self._comparisons = LogLimiter(COMPARISONS_AT_ONCE, COMPARISONS_PER_S)
@@ -159,19 +159,22 @@ class Graph:
         topic = self._topics.get(name)
         return None if topic is None or self._outlived(topic) else topic.type_name
 
-    def nearest_topic(self, name: str) -> str | None:
-        """Return the topic of the server's own with nearly the given name; None where there is none, or no time."""
+    def hint(self, name: str, own: Iterable[str]) -> str:
+        """Return the end of a sentence about an unknown name: the server's own that is like it; empty without."""
         if len(name) > MAX_COMPARED_CHARACTERS or not self._comparisons.due("comparison", self.clock()):
-            return None
-        own = [
+            return ""
+        found = difflib.get_close_matches(name, list(own), n=1, cutoff=LIKENESS)
+        return f"; did you mean {found[0]}?" if found else ""
+
+    def topic_hint(self, name: str) -> str:
+        own = (
             topic
             for index in (self.publications, self.subscriptions)
             for node in index
             if not node.remote
             for topic in index.of(node)
-        ]
-        found = difflib.get_close_matches(name, own, n=1, cutoff=LIKENESS)
-        return found[0] if found else None
+        )
+        return self.hint(name, own)
 
     def publishers(self, name: str) -> list[Node]:
         topic = self._topics.get(name)
@@ -406,9 +409,7 @@ class Graph:
                 remedy = "advertise the topic with its type first"
                 if node is not None:
                     remedy = "subscribe with the type, or advertise the topic first"
-                problem = f"has no type yet: {remedy}"
-                meant = self.nearest_topic(name)
-                raise GraphError("topic", name, f"{problem}; did you mean {meant}?" if meant else problem)
+                raise GraphError("topic", name, f"has no type yet: {remedy}{self.topic_hint(name)}")
             canonical = self._canonical(name, type_name)
             if topic is not None:
                 self._forget(topic)

@@ -1,6 +1,7 @@
 """Files about faults: what came before each, for a person who looks for its cause, or reports it.
 
-A file has a JSON object a line: the fault, the last report of the arm's health, and the last minute of the log.
+A file has a JSON object a line: the fault, the last report of the arm's health, the last minute of the log, and the
+last states of the joints.
 """
 
 import asyncio
@@ -8,13 +9,16 @@ import dataclasses
 import logging
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import orjson
+from numpy.typing import NDArray
 
 from robot.messages import ArmHealth, ArmState, Mode
 from server.disk import Disk
@@ -26,6 +30,10 @@ log = logging.getLogger("armbridge.monitoring")
 PREFIX = "fault-"
 
 WINDOW_S = 60.0
+
+# They come 100 times a second at most, and take some 300 kB of a file.
+MAX_STATES = 1000
+QUANTITIES = ("position_rad", "goal_rad", "load", "current_a")
 
 # A client that causes and resets faults without end must not wear out a memory card; the next file logs this fault.
 LEAST_INTERVAL_S = 10.0
@@ -49,6 +57,8 @@ class FaultFiles:
         self._robot_name = robot_name
         self._clock = clock
         self._state: ArmState | None = None
+        # Time of the arm [s], and the quantities, shape (quantities, joints).
+        self._samples: deque[tuple[float, NDArray[np.float64]]] = deque(maxlen=MAX_STATES)
         self._health: ArmHealth | None = None
         self._written_s = -math.inf
         self._writing: set[asyncio.Task[None]] = set()
@@ -58,10 +68,13 @@ class FaultFiles:
         self._health = health
 
     def take_state(self, state: ArmState) -> None:
-        """Begin to write a file when a state has a new fault."""
+        """Keep a state, and begin to write a file when it has a new fault."""
         if self._files is None:
             return
         before, self._state = self._state, state
+        figures = [getattr(state, name) for name in QUANTITIES]
+        if all(each is not None for each in figures):
+            self._samples.append((state.clock_s, np.array(figures)))
         fault = state.fault
         if fault is not None and (before is None or fault != before.fault):
             about = {"code": fault.code.value, "message": fault.message, "remedy": fault.remedy, "joint": fault.joint}
@@ -86,13 +99,19 @@ class FaultFiles:
     async def _write(self, series: FileSeries, about: dict[str, str], state: ArmState) -> None:
         now = datetime.fromtimestamp(state.stamp_s, UTC)
         name = f"{now:%Y%m%dT%H%M%S.%fZ}-{about['code']}"
-        lines = [*self._lines(about, state)]
+        lines, samples, end_s = [*self._lines(about, state)], tuple(self._samples), state.clock_s
 
         # In a thread, as it takes some milliseconds.
         def content() -> bytes:
             options = orjson.OPT_APPEND_NEWLINE | orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
             # NaN and infinity become null. Named tuples, as of a warning, become lists by ``default``.
-            return b"".join(orjson.dumps(line, default=list, option=options) for line in lines)
+            states = (
+                {"kind": "state", "time_s": round(at_s - end_s, 3), **dict(zip(QUANTITIES, rows.round(4), strict=True))}
+                for at_s, rows in samples
+                # The clock of an arm process that was started again may be behind.
+                if 0.0 <= end_s - at_s <= WINDOW_S
+            )
+            return b"".join(orjson.dumps(line, default=list, option=options) for line in (*lines, *states))
 
         try:
             self.latest = await self._disk.do(lambda: series.add(name, content))

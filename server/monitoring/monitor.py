@@ -110,14 +110,8 @@ def _fresh(health: ArmHealth | None) -> ArmHealth | None:
     return None if age_s > ARM_HEALTH_STALE_S else health
 
 
-def _by_label(
-    family: type[CounterMetricFamily | GaugeMetricFamily],
-    name: str,
-    meaning: str,
-    label: str,
-    values: Iterable[tuple[str, float]],
-) -> Metric:
-    metric = family(name, meaning, labels=(label,))
+def _by_label(name: str, meaning: str, label: str, values: Iterable[tuple[str, float]]) -> Metric:
+    metric = GaugeMetricFamily(name, meaning, labels=(label,))
     for label_value, value in values:
         metric.add_metric((label_value,), value)
     return metric
@@ -131,23 +125,18 @@ def figures(sources: Sources) -> Iterator[Metric]:
         yield gauge("armbridge_clients", "Clients that are connected.", traffic.clients)
         yield gauge("armbridge_clients_queued_bytes", "What waits for all clients to read.", traffic.queued_bytes())
         yield counter("armbridge_connections", "Clients that have connected since the start.", traffic.connections)
-        meaning = "WebSocket messages that came from clients."
-        yield counter("armbridge_received_messages", meaning, counts.received_messages)
-        meaning = "Bytes that came from clients, handshakes included."
-        yield counter("armbridge_received_bytes", meaning, counts.received_bytes)
+        yield counter("armbridge_received_messages", "WebSocket messages from clients.", counts.received_messages)
+        yield counter("armbridge_received_bytes", "Bytes from clients, with handshakes.", counts.received_bytes)
         yield counter("armbridge_sent_messages", "WebSocket messages that went to clients.", counts.sent_messages)
         yield counter("armbridge_sent_bytes", "Bytes of messages that went to clients.", counts.sent_bytes)
-        meaning = "Messages on topics that clients did not get because they read too slowly."
-        yield counter("armbridge_dropped_messages", meaning, counts.dropped_messages)
+        yield counter("armbridge_dropped_messages", "Messages dropped for slow clients.", counts.dropped_messages)
     if (zenoh := sources.zenoh) is not None:
-        meaning = "Messages lost because network or server were too slow."
-        yield counter("armbridge_zenoh_dropped_messages", meaning, zenoh.dropped)
+        yield counter("armbridge_zenoh_dropped_messages", "Messages lost on the way, or here.", zenoh.dropped)
     if (queue := sources.queue) is not None:
         yield gauge("armbridge_goals_waiting", "Goals that wait for their turn.", queue.waiting_count)
         yield gauge("armbridge_goals_in_hand", "Goals that are worked on.", queue.active_count)
     if (planners := sources.planners) is not None:
-        meaning = "Requests that wait for a planner."
-        yield gauge("armbridge_planners_waiting_requests", meaning, planners.waiting_count)
+        yield gauge("armbridge_planners_waiting_requests", "Requests without a planner.", planners.waiting_count)
     if (recorder := sources.recorder) is not None:
         yield counter("armbridge_recording_dropped_messages", "Messages missing in the recording.", recorder.dropped)
 
@@ -159,10 +148,8 @@ def arm_metrics(state: ArmState) -> Iterator[Metric]:
     present = state.fault and state.fault.code
     modes = ((each.value, int(state.mode is each)) for each in Mode)
     faults = ((each.value, int(present is each)) for each in FaultCode)
-    meaning = "1 for what the arm is doing, 0 for all else."
-    yield _by_label(GaugeMetricFamily, "armbridge_arm_mode", meaning, "mode", modes)
-    meaning = "1 for the fault of the arm, 0 for others."
-    yield _by_label(GaugeMetricFamily, "armbridge_arm_fault", meaning, "code", faults)
+    yield _by_label("armbridge_arm_mode", "1 for what the arm is doing, 0 for all else.", "mode", modes)
+    yield _by_label("armbridge_arm_fault", "1 for the fault of the arm, 0 for others.", "code", faults)
 
 
 def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
@@ -176,17 +163,14 @@ def arm_health_metrics(health: ArmHealth) -> Iterator[Metric]:
         ):
             yield CounterMetricFamily(f"armbridge_bus_{name}", f"{meaning} Since the bus was opened.", count)
         yield _statistics("armbridge_bus_round_trip_seconds", "Time that reading all servos took.", health.round_trip_s)
-    yield _statistics(
-        "armbridge_arm_loop_lateness_seconds", "Start of the loop's ticks after their deadlines.", health.lateness_s
-    )
+    yield _statistics("armbridge_arm_loop_lateness_seconds", "Start of ticks after deadlines.", health.lateness_s)
     measured = ((each.joint, each.temperature_c) for each in health.joints if not math.isnan(each.temperature_c))
-    name, meaning = "armbridge_servo_temperature_celsius", "Temperature of a servo."
-    yield _by_label(GaugeMetricFamily, name, meaning, "joint", measured)
+    yield _by_label("armbridge_servo_temperature_celsius", "Temperature of a servo.", "joint", measured)
 
 
 def _statistics(name: str, meaning: str, values_s: tuple[float, float, float]) -> Metric:
     values = zip(STATISTICS, values_s, strict=True)
-    return _by_label(GaugeMetricFamily, name, f"{meaning} Over the last second.", "statistic", values)
+    return _by_label(name, f"{meaning} Over the last second.", "statistic", values)
 
 
 # Often enough to notice anything that blocks the loop, seldom enough to cost nothing.

@@ -47,7 +47,7 @@ CONTENTS: Mapping[str, str] = {
     "ports.json": "serial ports of this machine",
     "arm/": "robot.toml and the calibration in use",
     "server/": "the running server: the arm's state, the servos' registers and last minutes, and its last log lines",
-    "faults/": "the last minute of the log before each of the last faults",
+    "faults/": "the last minute of log and joints before each of the last faults",
     "bus/": "the servos as they answer on the bus: registers, and the findings of doctor; only read",
     PROBLEMS: "what could not be had, and why",
 }

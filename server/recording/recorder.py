@@ -51,11 +51,7 @@ class Recorder:
     """
 
     def __init__(
-        self,
-        graph: Graph,
-        path: Path,
-        settings: RecordingSettings,
-        clock: Callable[[], float] | None = None,
+        self, graph: Graph, path: Path, settings: RecordingSettings, clock: Callable[[], float] | None = None
     ) -> None:
         """Take messages; the clock gives seconds since the epoch that never go back, None for the machine's."""
         self._graph = graph

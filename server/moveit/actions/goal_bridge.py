@@ -45,12 +45,7 @@ def submit_goal(
 ) -> Goal:
     """Submit the motion of a goal, in place of the present motion of the arm's group."""
     request = GoalRequest(
-        goal.action,
-        motion,
-        client=goal.sender,
-        policy=GoalPolicy.PREEMPT,
-        on_progress=on_progress,
-        on_answer=on_answer,
+        goal.action, motion, client=goal.sender, policy=GoalPolicy.PREEMPT, on_progress=on_progress, on_answer=on_answer
     )
     queued = queue.submit(request)
     cancel_with_goal(goal, functools.partial(queue.cancel, queued.goal_id))

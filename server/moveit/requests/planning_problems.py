@@ -14,13 +14,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from planners.goals import (
-    AnyGoal,
-    Constraints,
-    JointGoal,
-    PoseGoal,
-    PositionGoal,
-)
+from planners.goals import AnyGoal, Constraints, JointGoal, PoseGoal, PositionGoal
 from planners.problem import (
     PLANNER_IDS,
     Arc,

@@ -87,7 +87,7 @@ class TestMisspeltTopics:
     def test_clients_without_warnings_cost_nothing(self, world: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
         world.say("x", op="advertise", topic="/chat", type="std_msgs/String")
         compared: list[str] = []
-        monkeypatch.setattr(world.graph, "nearest_topic", compared.append)
+        monkeypatch.setattr(world.graph, "topic_hint", compared.append)
         world.say("x", op="subscribe", topic="/moveit_goal_name", type="std_msgs/String")
         assert compared == []
 

@@ -92,6 +92,13 @@ def test_the_cancel_service_cancels_one_goal_and_a_late_listener_is_told_at_once
     assert told == ["cancel"]
 
 
+def test_a_goal_to_a_misspelt_action_is_refused_with_the_server_s_action_that_was_meant(world: World) -> None:
+    world.offer(SERVER, "/gripper_cmd")
+    world.actions.send_goal(SENDER, "/griper_cmd", GRIPPER, None, world.results.append)
+    (result,) = world.results
+    assert (result.ok, result.values) == (False, "action /griper_cmd: does not exist; did you mean /gripper_cmd?")
+
+
 def test_an_ended_goal_is_freed_without_the_garbage_collector(world: World) -> None:
     world.send()
     ended = weakref.ref(world.goals.pop())

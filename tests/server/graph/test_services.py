@@ -6,9 +6,9 @@ import pytest
 from harness.waiting import TIMEOUT_S
 from protocol.messages import BUDGET, MAX_READ_VALUES, ListLimits
 from server.errors import GraphError, ServiceError
-from server.graph.message_types import MessageTypes
 from server.graph.permissions import Node
 from server.graph.services import LOCAL_TIMEOUT_S, MAX_TIMEOUT_S, Call, Response, Services
+from server.graph.topics import Graph
 from tests.helpers.clock import FakeClock
 from tests.helpers.fake_arm import settle
 from tests.helpers.messages import REGISTRY
@@ -25,7 +25,7 @@ def clock() -> FakeClock:
 
 @pytest.fixture
 def services(clock: FakeClock) -> Services:
-    return Services(MessageTypes(REGISTRY), clock.call_later)
+    return Graph(REGISTRY, clock, call_later=clock.call_later).services
 
 
 @pytest.fixture
@@ -128,9 +128,21 @@ def test_an_ended_call_leaves_nothing_behind(services: Services, clock: FakeCloc
 # Names
 
 
+def test_a_misspelt_service_is_refused_with_the_server_s_service_that_was_meant(services: Services) -> None:
+    services.offer(SERVER, "/switch_on", SET_BOOL, lambda _: ON)
+    services.offer_calls(PROVIDER, "/swich", SET_BOOL, lambda _call: None)
+    responses: list[Response] = []
+    for name in ("/swich_on", "/lamp"):
+        services.call(CALLER, name, {}, responses.append)
+    assert [each.values for each in responses] == [
+        "Service /swich_on does not exist; did you mean /switch_on?",
+        "Service /lamp does not exist",
+    ]
+
+
 def test_the_number_of_services_is_bounded_and_a_repeated_offer_counts_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("server.graph.services.MAX_SERVICES", 2)
-    services = Services(MessageTypes(REGISTRY), FakeClock().call_later)
+    services = Graph(REGISTRY).services
     for name in ("/a", "/b", "/b"):
         services.offer(SERVER, name, SET_BOOL, lambda _: ON)
     with pytest.raises(GraphError, match="service /c: cannot be added: there are 2 services already"):

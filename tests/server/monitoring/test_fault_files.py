@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from harness.clients import arm_client, values_of
@@ -17,7 +18,7 @@ from robot.faults import Fault, FaultCode, ServoAlert, ServoWarning
 from robot.logs import MAX_LINE_CHARACTERS, LogLine
 from robot.messages import ArmState, Mode
 from server.graph.topics import Graph
-from server.monitoring.fault_files import LEAST_INTERVAL_S, FaultFiles
+from server.monitoring.fault_files import LEAST_INTERVAL_S, MAX_STATES, FaultFiles
 from server.monitoring.log_ring import MAX_CHARACTERS, MAX_LINES, SERVICE, LogRing, shown
 from tests.helpers.graph import answered
 from tests.helpers.messages import REGISTRY
@@ -100,9 +101,11 @@ STALLED = Fault(FaultCode.STALLED, "joint gripper is stalled", "gripper", START_
 HOT = Fault(FaultCode.OVERHEATED, "joint gripper is at 66 degC", "gripper", START_S)
 
 
-def state(at_s: float = 0.0, **fields: Any) -> ArmState:
-    """A state some time after the start."""
-    return ArmState(**{"stamp_s": START_S + at_s, "mode": Mode.HOLDING, "joint_names": JOINTS, **fields})
+def state(at_s: float = 0.0, value: float = 0.0, **fields: Any) -> ArmState:
+    """A state some time after the start, all of whose figures are one."""
+    arrays = dict.fromkeys(("position_rad", "goal_rad", "load", "current_a"), np.full(len(JOINTS), value))
+    stamps = {"stamp_s": START_S + at_s, "clock_s": at_s}
+    return ArmState(**{**stamps, "mode": Mode.HOLDING, "joint_names": JOINTS, **arrays, **fields})
 
 
 class World:
@@ -171,6 +174,29 @@ async def test_the_file_has_the_last_minute_of_the_log(world: World, ring: LogRi
     assert [(each["text"], each["time_s"]) for each in world.lines("log")] == [("31", -59.0), ("90", 0.0)]
 
 
+# Many more states than a file has, and few; that the wall clock is set for the last second changes nothing.
+@pytest.mark.parametrize(("rate_hz", "jump_s"), [(50, 0.0), (1, 0.0), (1, 6.3e8), (1, -6.3e8)])
+async def test_the_file_has_the_last_states_of_the_minute(world: World, rate_hz: int, jump_s: float) -> None:
+    for number in range(90 * rate_hz):
+        at_s = number / rate_hz
+        world.files.take_state(state(at_s, number, stamp_s=START_S + at_s + jump_s * (at_s >= 89.0)))
+    await world.latch(90.0, stamp_s=START_S + jump_s + 90.0)
+    states, count = world.lines("state"), min(MAX_STATES, 60 * rate_hz + 1)
+    assert [each["time_s"] for each in states] == pytest.approx(np.arange(1 - count, 1) / rate_hz, abs=0.001)
+    for name in ("position_rad", "goal_rad", "load", "current_a"):
+        assert states[-2][name] == [90.0 * rate_hz - 1.0] * 2
+
+
+async def test_states_of_an_earlier_arm_process_are_left_out_and_figures_that_are_not_measured_null(
+    world: World,
+) -> None:
+    world.files.take_state(state(at_s=1000.0))
+    world.files.take_state(state(current_a=np.array([np.nan, 0.5])))
+    await world.latch(at_s=0.1)
+    states = world.lines("state")
+    assert ([each["time_s"] for each in states], states[0]["current_a"]) == ([-0.1, 0.0], [None, 0.5])
+
+
 async def test_one_fault_leaves_one_file_and_the_next_one_another(world: World) -> None:
     for at_s, fault in ((0.0, STALLED), (1.0, STALLED), (2.0, HOT)):
         world.now_s += LEAST_INTERVAL_S
@@ -229,4 +255,4 @@ async def test_a_running_server_names_the_file_in_its_log_and_diagnostics(own_se
     assert own_server.server.has_logged(str(path))
     text = await asyncio.to_thread(path.read_text)
     kinds = [json.loads(line)["kind"] for line in text.splitlines()]
-    assert (kinds[0], set(kinds)) == ("fault", {"fault", "health", "log"})
+    assert (kinds[0], set(kinds)) == ("fault", {"fault", "health", "log", "state"})

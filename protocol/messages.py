@@ -41,6 +41,7 @@ class ListLimits:
     # ``moveit_msgs/msg/MotionSequenceRequest.items``.
     max_elements: Mapping[str, int] = field(default_factory=dict)
     max_values: int = MAX_READ_VALUES  # number of values in all other lists, of messages as they are when complete
+    max_bytes: int | None = None  # size of a client's message, or of the frame with it [bytes]; None for no such limit
 
 
 class _Lists:

@@ -40,7 +40,7 @@ MAX_KEYS = 100  # subjects that a limiter remembers: clients choose what their r
 BURST = 500
 LINES_PER_S = 10.0
 
-MAX_CHANGED_LOGGERS = 100  # loggers whose levels can be changed; the program has some thirty
+MAX_CHANGED_LOGGERS = 100  # names that clients make up included; the program's some thirty loggers can always be changed
 
 
 def configure(level: int | str, log_format: LogFormat, process: str = "server", arm: str = "") -> None:
@@ -247,8 +247,9 @@ _changed: dict[str, LoggerLevel] = {}
 
 
 def change(level: LoggerLevel) -> bool:
-    """Change a logger's level in this process and in all children; return False for too many loggers."""
-    if level.name not in _changed and len(_changed) >= MAX_CHANGED_LOGGERS:
+    """Change a logger's level in this process and in all children; return False for too many names of no logger."""
+    known = level.name in _changed or level.name in logging.root.manager.loggerDict
+    if not known and len(_changed) >= MAX_CHANGED_LOGGERS:
         return False
     _changed[level.name] = level
     apply(level)

@@ -133,7 +133,7 @@ class GoalQueue:
                 active.cancel(reason, replaced=True)
             self._enqueue(goal)
         elif len(self._waiting) >= self._capacity:
-            limit = f"{self._capacity} goals are waiting already, the limit"
+            limit = f"{self._capacity} goals are waiting already, the limit (goals.capacity)"
             self._finish(goal, Answer(MoveItErrorCode.FAILURE, limit))
         else:
             self._enqueue(goal)

@@ -14,7 +14,7 @@ import uuid
 from base64 import b64encode
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from protocol.errors import InterfaceError, MessageError
 from protocol.messages import ListLimits
@@ -135,6 +135,11 @@ class ActionGoal(PendingRequest[Result]):
             callback()
 
 
+class _PublishedStatus(NamedTuple):
+    message: dict[str, Any]  # action_msgs/GoalStatus
+    ended_s: float | None  # time of the goal's end [s]
+
+
 # A goal may take long, and must end even if its provider has forgotten it.
 MAX_GOAL_S = 3600.0
 
@@ -154,8 +159,8 @@ class Actions(Providers[ActionGoal]):
         self._services = topics.services
         self._topics = topics
         self._clock = clock
-        # By action, the oldest goal first: goals with a status to publish, and the time of their end [s].
-        self._published: dict[str, dict[ActionGoal, float | None]] = {}
+        # By action and goal id, the oldest goal first; without the goals, whose requests may have megabytes.
+        self._published: dict[str, dict[str, _PublishedStatus]] = {}
 
     def offer(
         self,
@@ -271,17 +276,15 @@ class Actions(Providers[ActionGoal]):
         published, now_s = self._published.get(goal.action), self._clock()
         if published is None or not self._is_open(node, goal.action + STATUS, STATUS_TYPE):
             return
-        published[goal] = now_s if goal.ended else None
-        ended = [(each, ended_s) for each, ended_s in published.items() if ended_s is not None]
-        for place, (each, ended_s) in enumerate(ended):
+        message = {"goal_info": goal.info, "status": int(goal.status)}
+        published[goal.info["goal_id"]["uuid"]] = _PublishedStatus(message, now_s if goal.ended else None)
+        ended = [(goal_id, each.ended_s) for goal_id, each in published.items() if each.ended_s is not None]
+        for place, (goal_id, ended_s) in enumerate(ended):
             # A goal that was never taken on has no status in ROS.
-            if (
-                each.status == GoalStatus.UNKNOWN
-                or ended_s <= now_s - ENDED_KEPT_S
-                or place < len(ended) - MAX_PUBLISHED
-            ):
-                del published[each]
-        statuses = [{"goal_info": each.info, "status": int(each.status)} for each in list(published)[-MAX_PUBLISHED:]]
+            unknown = published[goal_id].message["status"] == GoalStatus.UNKNOWN
+            if unknown or ended_s <= now_s - ENDED_KEPT_S or place < len(ended) - MAX_PUBLISHED:
+                del published[goal_id]
+        statuses = [each.message for each in list(published.values())[-MAX_PUBLISHED:]]
         self._topics.publish(node, goal.action + STATUS, {"status_list": statuses}, prevalidated=True)
 
     def _is_open(self, node: Node, topic: str, type_name: str) -> bool:

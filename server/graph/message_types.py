@@ -108,6 +108,8 @@ class MessageTypes:
         if completed is not None:
             return completed
         value.limits = limits
+        if limits is not None and limits.max_bytes is not None and value.size_bytes > limits.max_bytes:
+            raise MessageError(f"at most {limits.max_bytes} bytes", str(value.size_bytes))
         if not value.light and value.size_bytes > (BYTES_AT_ONCE if value.dialect == "ros2" else ROS1_BYTES_AT_ONCE):
             raise PostponedError(value, type_name)
         try:

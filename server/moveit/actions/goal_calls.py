@@ -9,7 +9,6 @@ import logging
 from dataclasses import replace
 
 from planners.problem import MoveItErrorCode
-from protocol.messages import ListLimits
 from server.diagnostic_values import key_values
 from server.errors import RefusedError, invalid, refused
 from server.execution.goal import Answer, GoalPolicy, GoalRequest, GoalState, Progress
@@ -22,6 +21,7 @@ from server.graph.topics import LocalGraph
 from server.moveit.actions.goal_bridge import cancel_with_goal, goal_status, plan_without_moving
 from server.moveit.actions.move_group import plan_steps
 from server.moveit.goals.goal_topics import (
+    GOAL_LIMITS,
     JOINTS_TOPIC,
     NAMED_TOPIC,
     POSE_TOPIC,
@@ -39,9 +39,6 @@ log = logging.getLogger("armbridge.goals")
 NAME = "/moveit_goal"
 SERVICE_TYPE, ACTION_TYPE = "armbridge_msgs/srv/MoveitGoal", "armbridge_msgs/action/MoveitGoal"
 
-# Joints of one goal; no robot comes near.
-MAX_JOINTS = 200
-
 
 class GoalCalls:
     """The service and the action ``/moveit_goal``."""
@@ -53,10 +50,8 @@ class GoalCalls:
         self._actions = graph.graph.actions
         node = graph.node("moveit goal")
         self._name = node.resolve(NAME)
-        lists = ("name", "position", "velocity", "effort")
-        limits = ListLimits({f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in lists})
-        node.offer_calls(NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, limits, rule=CALLED_GOAL)
-        node.offer_action(NAME, ACTION_TYPE, self._start, limits, rule=CALLED_GOAL)
+        node.offer_calls(NAME, SERVICE_TYPE, self._call, MAX_TIMEOUT_S, GOAL_LIMITS, rule=CALLED_GOAL)
+        node.offer_action(NAME, ACTION_TYPE, self._start, GOAL_LIMITS, rule=CALLED_GOAL)
 
     def _call(self, call: Call) -> None:
         """Send a goal of the action for a call, which is answered by its result."""

@@ -11,6 +11,7 @@ from planners.goals import AnyGoal, JointGoal, PoseGoal, PositionGoal
 from planners.problem import MoveItErrorCode, PlanningFailure
 from planners.scene import Pose
 from protocol.errors import MessageError
+from protocol.messages import ListLimits
 from protocol.publication import PublishedMessage
 from robot.description.model import Group, RobotModel
 from server.diagnostic_values import LEVEL_ERROR, LEVEL_OK, diagnostic_status
@@ -35,6 +36,14 @@ GROUP_TOPIC, GROUP_TYPE = "/moveit_goal_group", "std_msgs/String"
 
 # Fields of armbridge_msgs/GoalTarget, by the topic whose message each takes.
 TARGET_FIELDS = {NAMED_TOPIC: "named", JOINTS_TOPIC: "joints", POSE_TOPIC: "pose"}
+
+# Joints of one goal, and bytes of its frame; no robot comes near. Sentences quote it, and the last goals are kept.
+MAX_JOINTS, MAX_GOAL_BYTES = 200, 262_144
+
+GOAL_LIMITS = ListLimits(
+    {f"sensor_msgs/msg/JointState.{field}": MAX_JOINTS for field in ("name", "position", "velocity", "effort")},
+    max_bytes=MAX_GOAL_BYTES,
+)
 
 # A quaternion's length may differ from 1 by the rounding of clients that write a few digits.
 UNIT_TOLERANCE = 0.01
@@ -408,7 +417,9 @@ class GoalTopics:
             failure = PlanningFailure(MoveItErrorCode.CONTROL_FAILED, reason)
             self._queue.reject(GoalRequest(source, message=message, only_for=sender), failure)
 
-        self._node.subscribe(topic, type_name, deliver, reject_invalid, reject_unauthorized, rule=GOAL)
+        self._node.subscribe(
+            topic, type_name, deliver, reject_invalid, reject_unauthorized, limits=GOAL_LIMITS, rule=GOAL
+        )
 
     def _select_group(self, published: PublishedMessage) -> None:
         """Choose the group of later goals; publish the present group again after an unknown name."""

@@ -111,6 +111,18 @@ async def test_topics_that_nobody_publishes_are_no_cameras_and_not_all_that_clie
     assert marked.graph.subscribers(commanded) == []
 
 
+async def test_cameras_that_are_gone_make_room_for_another_where_as_many_are_watched_as_can_be() -> None:
+    marked, client = Marked(), Node("client", remote=True)
+    for number in range(MAX_WATCHED):
+        marked.graph.advertise(client, f"/camera{number}", "sensor_msgs/Image")
+    await marked.call(START_SERVICE, task="pick")
+    await marked.call(STOP_SERVICE)
+    marked.graph.remove(client)
+    marked.graph.advertise(client, CAMERA, "sensor_msgs/Image")
+    await marked.call(START_SERVICE, task="pick")
+    assert len(marked.graph.subscribers(CAMERA)) == 1
+
+
 # Intervals between images [s], their delay behind their stamps [s], and the problem.
 TIMINGS: dict[str, tuple[list[float], float, str]] = {
     "even": ([0.1] * 10, 0.05, ""),

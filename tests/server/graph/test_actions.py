@@ -112,6 +112,16 @@ def test_an_ended_goal_is_freed_without_the_garbage_collector(world: World) -> N
         gc.enable()
 
 
+def test_a_goal_is_freed_at_its_end_while_its_status_is_still_published(world: World) -> None:
+    world.listen()
+    world.send().finish(GoalStatus.SUCCEEDED, {})
+    ended = weakref.ref(world.goals.pop())
+    world.clock.timers.clear()
+    world.send()
+    assert world.statuses == [GoalStatus.SUCCEEDED, GoalStatus.EXECUTING]
+    assert ended() is None
+
+
 def test_no_goal_lasts_for_ever_and_one_that_has_ended_leaves_nothing_behind(world: World) -> None:
     world.send()
     world.clock.advance(MAX_GOAL_S)

@@ -1,6 +1,6 @@
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from typing import Any
 
 import pytest
@@ -8,6 +8,8 @@ import pytest
 from harness.clients import values_of
 from protocol.errors import MessageError
 from server.execution.goal import Answer, Goal, GoalState, Progress
+from server.execution.queue import GoalListener
+from server.graph.message_types import ReceivedMessage
 from server.graph.permissions import Node
 from server.graph.topics import Subscriber
 from server.moveit.goals import goal_topics
@@ -17,6 +19,16 @@ from tests.helpers.graph import listen
 from tests.helpers.moveit import ROBOT, ActionDesk, translator
 
 CLIENT = Node("client")
+
+
+class Keeper(GoalListener):
+    """Keeps the messages of answered goals."""
+
+    def __init__(self, kept: list[Mapping[str, Any]]) -> None:
+        self._kept = kept
+
+    def on_answer(self, goal: Goal, answer: Answer) -> None:
+        self._kept.append(goal.request.message)
 
 
 class Desk(ActionDesk):
@@ -39,7 +51,7 @@ class Desk(ActionDesk):
             asyncio.get_running_loop().call_soon(self.finish)
         return await super().run(goal)
 
-    async def publish(self, topic: str, message: dict[str, Any]) -> None:
+    async def publish(self, topic: str, message: object) -> None:
         self.graph.publish(CLIENT, topic, message)
         await settle()
 
@@ -79,6 +91,24 @@ async def test_a_bad_message_is_a_rejected_goal_or_is_logged(desk: Desk, caplog:
     await desk.publish("/trajectory_execution_event", {"data": "dance"})
     assert desk.stopped == []
     assert "'dance'" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("topic", "message", "limit"),
+    [
+        ("/moveit_goal_joints", {"name": ["knee"] * 201, "position": [0.0] * 201}, "at most 200 elements in all, got 201"),
+        ("/moveit_goal_named", ReceivedMessage({"data": "x"}, 262_145), "at most 262144 bytes, got 262145"),
+    ],
+)
+async def test_a_goal_of_any_size_is_refused_unread_and_not_kept(
+    desk: Desk, topic: str, message: object, limit: str
+) -> None:
+    kept: list[Mapping[str, Any]] = []
+    desk.queue.listeners.append(Keeper(kept))
+    with pytest.raises(MessageError, match=limit):
+        await desk.publish(topic, message)
+    ((code, sentence, _source),) = desk.answers
+    assert (code, limit in sentence, kept) == (-16, True, [{}])
 
 
 @pytest.mark.parametrize(("topic", "message"), [("/stop", {}), ("/trajectory_execution_event", {"data": "stop"})])

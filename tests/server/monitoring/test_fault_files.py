@@ -131,24 +131,20 @@ async def world(tmp_path: Path, ring: LogRing) -> World:
     return World(tmp_path, ring)
 
 
-async def test_a_fault_leaves_a_file_named_by_time_and_code_with_its_remedy(world: World) -> None:
-    world.files.take_state(state())
-    await world.latch()
-    assert world.names() == ["fault-19700112T134640.000000Z-stalled.jsonl"]
-    (head,) = world.lines("fault")
-    assert (head["code"], head["joint"], head["remedy"]) == ("stalled", "gripper", STALLED.remedy)
-    assert head["joints"] == list(JOINTS)
-
-
-async def test_the_file_has_the_log_and_the_servos_with_their_warnings_before_the_fault(
+async def test_a_fault_leaves_a_file_by_time_and_code_with_its_remedy_the_log_and_the_servos_before_it(
     world: World, ring: LogRing
 ) -> None:
+    world.files.take_state(state())
     LOG.warning("the gripper is warm")
     health = arm_health()
     warm = replace(health.joints[0], warnings=(ServoWarning(ServoAlert.WARM, "warm: 56 degC"),))
     world.files.take_health(replace(health, joints=(warm, *health.joints[1:])))
     world.now_s = ring.since(0.0)[-1].monotonic_s
     await world.latch()
+    assert world.names() == ["fault-19700112T134640.000000Z-stalled.jsonl"]
+    (head,) = world.lines("fault")
+    assert (head["code"], head["joint"], head["remedy"]) == ("stalled", "gripper", STALLED.remedy)
+    assert head["joints"] == list(JOINTS)
     assert [line["text"] for line in world.lines("log")] == ["the gripper is warm"]
     assert [[joint["joint"] for joint in line["joints"]] for line in world.lines("health")] == [list(JOINTS)]
     assert world.lines("health")[0]["joints"][0]["warnings"] == [["warm", "warm: 56 degC", ""]]

@@ -70,15 +70,21 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "armbridge.toml"
 
 
-def test_the_environment_overrides_the_file_and_options_both(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file.write_text('[server]\nhost = "file"\nport = 1\nlog_level = "error"\n[goals]\npolicy = "preempt"\n')
+def test_the_environment_overrides_the_file_and_options_both_and_the_source_of_each_setting_is_known(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = '[server]\nhost = "file"\nport = 1\nlog_level = "error"\n[goals]\npolicy = "preempt"\n'
+    file.write_text(f"{text}[arm.zero_offset_rad]\nelbow_flex = 0.1\n")
     monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
     monkeypatch.setenv("ARMBRIDGE_SERVER__LOG_LEVEL", "debug")
     monkeypatch.setenv("ARMBRIDGE_SERVER__TCP_ROS_VERSION", "2")
-    settings = load(file, {"server": {"log_level": "info"}})
+    settings, sources = load_with_sources(file, {"server": {"log_level": "info"}})
     assert (settings.server.host, settings.server.port, settings.server.log_level) == ("file", 2, "info")
     assert settings.server.tcp_ros_version == 2
     assert settings.goals.policy is GoalPolicy.PREEMPT
+    of_file = dict.fromkeys(("server.host", "goals.policy", "arm.zero_offset_rad"), "file")
+    of_environment = dict.fromkeys(("server.port", "server.tcp_ros_version"), "environment")
+    assert sources == {**of_file, **of_environment, "server.log_level": "command line"}
 
 
 REFUSED = {
@@ -121,13 +127,6 @@ def test_a_byte_order_mark_as_of_editors_of_windows_is_no_mistake(file: Path) ->
     assert load(file, {}).server.port == 1
 
 
-def test_the_source_of_each_setting_is_known(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    file.write_text("[server]\nport = 1\n[arm.zero_offset_rad]\nelbow_flex = 0.1\n")
-    monkeypatch.setenv("ARMBRIDGE_SERVER__PORT", "2")
-    _, sources = load_with_sources(file, {"goals": {"capacity": 3}})
-    assert sources == {"server.port": "environment", "arm.zero_offset_rad": "file", "goals.capacity": "command line"}
-
-
 FROM = ", from the file /.*armbridge\\.toml"
 OVERRIDDEN = {
     "[server]\nport = 70000": rf"^server\.port: .*65535 \(it is 70000{FROM}\)$",
@@ -152,7 +151,8 @@ def test_a_wrong_value_is_refused_also_where_it_is_overridden(file: Path, monkey
 
 def test_the_command_line_may_put_right_what_the_file_leaves_contradictory(file: Path) -> None:
     file.write_text("[arm.guards]\nsettle_timeout_s = 5.0\n[moveit]\nallowed_goal_duration_margin = 1.0\n")
-    with pytest.raises(ConfigurationError, match="must be below"):
+    words = r"arm.guards.settle_timeout_s must be below moveit.allowed_goal_duration_margin, 5 s is not below 1 s"
+    with pytest.raises(ConfigurationError, match=words):
         load(file, {})
     assert load(file, {"arm": {"guards": {"settle_timeout_s": 0.5}}}).moveit.allowed_goal_duration_margin == 1.0
 
@@ -176,3 +176,8 @@ def test_a_variable_names_an_entry_or_holds_json_or_is_refused(monkeypatch: pyte
     monkeypatch.setenv("ARMBRIDGE_SERVER", "port")
     with pytest.raises(ConfigurationError, match="environment variable ARMBRIDGE_SERVER: must be JSON"):
         load(None, {})
+    monkeypatch.delenv("ARMBRIDGE_SERVER")
+    monkeypatch.setenv("ARMBRIDGE_ACCESS__ALLOWED_HOSTS", "lab-pc")
+    with pytest.raises(ConfigurationError, match="ACCESS__ALLOWED_HOSTS: must be JSON, a list as in") as refused:
+        load(None, {})
+    assert "lab-pc" not in str(refused.value)

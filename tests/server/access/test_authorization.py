@@ -200,6 +200,8 @@ class TestControl:
         ways += [("call_service", "/arm/enable"), ("call_service", "arm/relax#7")]
         for op, name in ways:
             assert "first has controlled the arm since" in str(asked(second, op, name)), (op, name)
+        # Options of a plan do not make a motion one.
+        assert asked(second, "send_action_goal", "/execute_trajectory", args=PLAN_ONLY) is not None
 
     def test_stops_plans_and_scenes_need_no_control_and_take_none(self, world: World) -> None:
         second, holder = world.authorizer(name="second"), world.access.lease.holder
@@ -216,10 +218,6 @@ class TestControl:
         for op, name, fields in free:
             assert asked(second, op, name, **fields) is None, name
             assert world.access.lease.holder is holder, name
-
-    def test_options_of_a_plan_do_not_make_a_motion_one(self, world: World) -> None:
-        second = world.authorizer(name="second")
-        assert asked(second, "send_action_goal", "/execute_trajectory", args=PLAN_ONLY) is not None
 
     def test_a_refused_operation_takes_no_control(self) -> None:
         world = World(topics_glob=["/joint_states"])

@@ -287,7 +287,9 @@ async def test_a_chunk_is_followed_up_to_a_target_far_beyond_a_limit(policy: Pol
     assert policy.arm_rad[-1, 0] == pytest.approx(held["shoulder_pan"], abs=1e-5)
 
 
-async def test_a_chunk_into_an_object_is_followed_as_far_as_it_is_free(policy: Policy) -> None:
+async def test_a_chunk_into_an_object_is_followed_as_far_as_it_is_free_and_answered_with_where_the_arm_holds(
+    policy: Policy,
+) -> None:
     policy.add_walls()
     await policy.send(3.0, chunk(ramp(60, 1.4)))
     (answer,) = policy.answers
@@ -299,12 +301,7 @@ async def test_a_chunk_into_an_object_is_followed_as_far_as_it_is_free(policy: P
     assert 0.1 < stands_rad < ramp(60, 1.4)[answer["refused_from"], 0]
     assert answer["nearest"][0] == pytest.approx(stands_rad, abs=1e-5)
     policy.assert_within_limits()
-
-
-async def test_the_answer_to_a_chunk_of_which_nothing_is_free_has_where_the_arm_holds(policy: Policy) -> None:
-    policy.add_walls()
-    await policy.send(1.5, chunk(ramp()))
-    stands_rad = policy.arm_rad[-1]
+    # Of a later one nothing is free.
     # Each brings it nearer to the wall.
     while policy.codes[-1] == MoveItErrorCode.SUCCESS:
         stands_rad = policy.arm_rad[-1]

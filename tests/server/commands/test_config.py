@@ -247,6 +247,10 @@ def test_authority_and_token_are_made_once_and_kept_for_their_owner_who_is_told_
     settings = f"--set server.tls_certificate={files[0]}", f"--set access.token_file={tokens}"
     for words in (*map(str, files), *settings, "arm.example, localhost", "iPhone", "Android"):
         assert words in told
+    # The page about phones shows the same command.
+    page = (ROOT / "docs" / "page.md").read_text().replace("/home/me/.local/share/armbridge/tls", str(folder))
+    command = told[told.index("  armbridge serve") :].split("\nA server")[0]
+    assert "\n".join(line[2:] for line in command.splitlines()) in page.replace("\n    --", "\n  --")
     (token,) = re.findall(r"^  ([0-9a-f]{32})$", told, re.MULTILINE)
     assert stat.S_IMODE(tokens.stat().st_mode) == 0o600
     identity = Tokens.from_settings(AccessSettings(token_file=tokens)).identify(token)
@@ -280,11 +284,3 @@ def test_of_two_commands_at_a_time_one_makes_the_token(folder, monkeypatch):
     folder.mkdir(parents=True)
     monkeypatch.setattr(certificate, "replace", replace_locked)
     assert [bool(ensure_token(folder)[1]) for _ in range(2)] == [True, False]
-
-
-def test_the_page_about_phones_shows_the_command_that_is_printed(folder, capsys):
-    cli.main(["certificate"])
-    told = capsys.readouterr().out
-    shown = (ROOT / "docs" / "page.md").read_text().replace("/home/me/.local/share/armbridge/tls", str(folder))
-    command = told[told.index("  armbridge serve") :].split("\nA server")[0]
-    assert "\n".join(line[2:] for line in command.splitlines()) in shown.replace("\n    --", "\n  --")

@@ -14,17 +14,12 @@ from tests.helpers.clock import SteppedLoop
 pytestmark = pytest.mark.stepped_time
 
 
-async def test_a_silence_is_over_after_its_time_and_no_sooner() -> None:
+async def test_a_silence_is_over_after_its_time_and_no_sooner_and_a_standstill_is_none() -> None:
     silence = Silence(1.0)
     assert silence.take_message()
     for pause_s, over in ((0.9, False), (0.9, False), (1.1, True), (0.9, False)):
         await asyncio.sleep(pause_s)
         assert silence.take_message() is over
-
-
-async def test_a_standstill_is_no_silence() -> None:
-    silence = Silence(1.0)
-    silence.take_message()
     cast("SteppedLoop", asyncio.get_running_loop()).advance(100.0)
     await asyncio.sleep(0.7)
     assert not silence.take_message()

@@ -51,26 +51,24 @@ async def laptop() -> AsyncIterator[Laptop]:
         yield each
 
 
-async def test_after_a_suspension_the_arm_brakes_and_goals_from_before_it_begin_no_more(laptop: Laptop) -> None:
+SUSPENDED, HALTED = "the machine was suspended for 3600 s", "the arm process stood still for 60.0 s"
+
+
+@pytest.mark.parametrize("reason", [SUSPENDED, HALTED])
+async def test_after_a_suspension_or_a_standstill_of_the_arm_process_the_arm_brakes_and_only_later_goals_begin(
+    laptop: Laptop, reason: str
+) -> None:
     await laptop.begin_to_move()
-    laptop.suspended = (3600.0, 3600.0)
+    if reason is SUSPENDED:
+        laptop.suspended = (3600.0, 3600.0)
+    else:
+        laptop.arm.rig.clock.advance(60.0)
     await asyncio.sleep(2.0)
     waiting, active = laptop.results
-    assert waiting == "the machine was suspended for 3600 s before this goal's turn came"
-    assert active.startswith("the machine was suspended for 3600 s; the arm stands at ")
+    assert waiting == f"{reason} before this goal's turn came"
+    assert active.startswith(f"{reason}; the arm stands at ")
     assert np.ptp(laptop.arm_rad[-100:, 0]) == 0.0
     assert 0.2 < laptop.goals_rad[-1][0] < 1.0
-    await laptop.begin_to_move()
-
-
-async def test_after_a_standstill_of_the_arm_process_all_goals_end_and_later_ones_begin(laptop: Laptop) -> None:
-    await laptop.begin_to_move()
-    laptop.arm.rig.clock.advance(60.0)
-    await asyncio.sleep(2.0)
-    waiting, active = laptop.results
-    assert waiting == "the arm process stood still for 60.0 s before this goal's turn came"
-    assert active.startswith("the arm process stood still for 60.0 s; the arm stands at ")
-    assert np.ptp(laptop.arm_rad[-100:, 0]) == 0.0
     await laptop.begin_to_move()
 
 

@@ -178,9 +178,6 @@ async def test_a_mistake_is_one_sentence_that_names_it(door: Door) -> None:
         assert message in answer["message"]
         assert not door.arm.calls, message
         assert not door.arm.gripper, message
-
-
-async def test_a_choice_that_does_not_exist_moves_nothing(door: Door) -> None:
     got, answer = await door.post(READY, path="/goal?on_disconnect=halt")
     assert (got, answer["message"]) == (400, "?on_disconnect= must be finish or stop, not 'halt'")
     assert not door.arm.calls

@@ -189,26 +189,19 @@ async def test_a_subscription_begins_with_the_newest_message_at_most(graph: Grap
         assert (await client.receive())["id"] == "then"
 
 
-async def test_a_half_closed_client_gets_its_answers(listener: Listener, monkeypatch: pytest.MonkeyPatch) -> None:
-    # A call a turn, so that most of them wait when the client's end is seen.
-    monkeypatch.setattr(transport, "TURN_S", 0.0)
+# A call a turn, so that most of them wait when the client's end is seen; and answers longer than what is sent at once.
+@pytest.mark.parametrize(("turn_s", "length"), [(0.0, 1), (transport.TURN_S, 100_000)])
+async def test_a_half_closed_client_gets_its_answers(
+    graph: Graph, listener: Listener, monkeypatch: pytest.MonkeyPatch, turn_s: float, length: int
+) -> None:
+    monkeypatch.setattr(transport, "TURN_S", turn_s)
+    graph.services.offer(TALKER, "/long", "std_srvs/Trigger", lambda _: {"success": True, "message": "x" * length})
     async with await RawClient.connect(port_of(listener)) as client:
         for number in range(50):
-            client.send(op="call_service", service="/trigger", id=str(number))
+            client.send(op="call_service", service="/long", id=str(number))
         client.writer.write_eof()
         assert [(await client.receive())["id"] for _ in range(50)] == [str(number) for number in range(50)]
         assert await client.next_frame() is None
-
-
-async def test_a_half_closed_client_gets_answers_that_are_longer_than_what_is_sent_at_once(
-    graph: Graph, listener: Listener
-) -> None:
-    graph.services.offer(TALKER, "/long", "std_srvs/Trigger", lambda _: {"success": True, "message": "x" * 100_000})
-    async with await RawClient.connect(port_of(listener)) as client:
-        for number in range(20):
-            client.send(op="call_service", service="/long", id=str(number))
-        client.writer.write_eof()
-        assert [(await client.receive())["id"] for _ in range(20)] == [str(number) for number in range(20)]
 
 
 async def test_a_client_that_goes_on_sending_is_told_why_it_is_closed(listener: Listener) -> None:

@@ -38,8 +38,8 @@ def line(text: str, at_s: float = 0.0) -> LogLine:
     return LogLine(at_s, logging.INFO, "armbridge.arm", "robot.control.loop", text, at_s)
 
 
-def texts(ring: LogRing, from_s: float = 0.0) -> list[str]:
-    return [each.text for each in ring.since(from_s)]
+def texts(ring: LogRing) -> list[str]:
+    return [each.text for each in ring.since(0.0)]
 
 
 def test_lines_of_the_server_and_of_its_children_are_kept_as_they_come(ring: LogRing) -> None:
@@ -61,12 +61,6 @@ def test_a_token_is_not_kept(ring: LogRing) -> None:
         LOG.exception("a bug")
     assert "s3cret" not in "".join(texts(ring))
     assert "ws://host/?token=***" in texts(ring)[1]
-
-
-def test_the_lines_of_the_last_minute_are_told_apart(ring: LogRing) -> None:
-    for at_s in (10.0, 70.0, 130.0):
-        logs.pass_on(line(f"{at_s:g}", at_s))
-    assert texts(ring, 70.0) == ["70", "130"]
 
 
 def test_lines_without_end_and_long_ones_do_not_fill_the_memory(ring: LogRing) -> None:
@@ -140,38 +134,31 @@ async def world(tmp_path: Path, ring: LogRing) -> World:
     return World(tmp_path, ring)
 
 
-async def test_a_fault_leaves_a_file_named_by_time_and_code_with_its_remedy(world: World) -> None:
+async def test_a_fault_leaves_a_file_by_time_and_code_with_its_remedy_the_log_and_the_servos_before_it(
+    world: World, ring: LogRing
+) -> None:
     world.files.take_state(state())
+    LOG.warning("the gripper is warm")
+    health = arm_health()
+    warm = replace(health.joints[0], warnings=(ServoWarning(ServoAlert.WARM, "warm: 56 degC"),))
+    world.files.take_health(replace(health, joints=(warm, *health.joints[1:])))
+    world.now_s = ring.since(0.0)[-1].monotonic_s
     await world.latch()
     assert world.names() == ["fault-19700112T134640.000000Z-stalled.jsonl"]
     (head,) = world.lines("fault")
     assert (head["code"], head["joint"], head["remedy"]) == ("stalled", "gripper", STALLED.remedy)
     assert head["joints"] == list(JOINTS)
-
-
-async def test_the_file_has_the_log_and_the_servos_before_the_fault(world: World, ring: LogRing) -> None:
-    LOG.warning("the gripper is warm")
-    world.files.take_health(arm_health())
-    world.now_s = ring.since(0.0)[-1].monotonic_s
-    await world.latch()
     assert [line["text"] for line in world.lines("log")] == ["the gripper is warm"]
     assert [[joint["joint"] for joint in line["joints"]] for line in world.lines("health")] == [list(JOINTS)]
-
-
-async def test_the_file_has_the_warnings_about_servos(world: World) -> None:
-    health = arm_health()
-    warm = replace(health.joints[0], warnings=(ServoWarning(ServoAlert.WARM, "warm: 56 degC"),))
-    world.files.take_health(replace(health, joints=(warm, *health.joints[1:])))
-    await world.latch()
     assert world.lines("health")[0]["joints"][0]["warnings"] == [["warm", "warm: 56 degC", ""]]
 
 
 async def test_the_file_has_the_last_minute_of_the_log(world: World, ring: LogRing) -> None:
-    for at_s in (29.0, 31.0, 90.0):
-        ring.take(line(f"{at_s:g}", at_s))
+    for at_s in (29.0, 30.0, 90.0):
+        logs.pass_on(line(f"{at_s:g}", at_s))
     world.now_s = 90.0
     await world.latch()
-    assert [(each["text"], each["time_s"]) for each in world.lines("log")] == [("31", -59.0), ("90", 0.0)]
+    assert [(each["text"], each["time_s"]) for each in world.lines("log")] == [("30", -60.0), ("90", 0.0)]
 
 
 # Many more states than a file has, and few; that the wall clock is set for the last second changes nothing.

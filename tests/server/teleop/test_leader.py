@@ -118,7 +118,7 @@ JOINTS = [joint.name for joint in ROBOT.movable_joints]
 PAN = ROBOT.joints["shoulder_pan"]
 
 
-def test_joints_follow_those_of_the_same_name_or_as_the_request_says() -> None:
+def test_joints_follow_those_of_the_same_name_or_as_the_request_says_and_pan_and_roll_may_be_mirrored() -> None:
     for leader, options, positions_rad, targets_rad in (
         (
             [f"left_{name}" for name in JOINTS],
@@ -134,9 +134,6 @@ def test_joints_follow_those_of_the_same_name_or_as_the_request_says() -> None:
         joints = joint_map(ROBOT, "", leader, **options)
         assert joints.targets_rad(positions_rad) == targets_rad
         assert [link.follower for link in joints.links] == (["wrist_roll"] if "pairs" in options else JOINTS)
-
-
-def test_in_the_mirror_pan_and_roll_turn_the_other_way() -> None:
     assert mirrored_joints(ROBOT) == {"shoulder_pan", "wrist_roll"}
 
 

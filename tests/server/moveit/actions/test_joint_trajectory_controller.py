@@ -60,10 +60,17 @@ async def desk() -> AsyncIterator[Desk]:
 
 
 @pytest.mark.parametrize("action", [ACTION, INDUSTRIAL_ACTION])
-async def test_a_trajectory_is_played_under_both_names(desk: Desk, action: str) -> None:
+async def test_a_trajectory_is_played_under_both_names_with_feedback_of_every_joint_while_the_arm_moves(
+    desk: Desk, action: str
+) -> None:
     await desk.send(action, trajectory=TRAJECTORY)
     assert isinstance(desk.asked[0], ExternalTrajectory)
+    desk.arm.state = at(0.2, 0.3)
+    desk.report(replace(MOVING, state=GoalState.PLANNED))
     desk.report(MOVING)
+    (feedback,) = desk.feedback
+    assert feedback["joint_names"] == list(ARM)
+    assert feedback["error"]["positions"] == pytest.approx([0.1] * len(ARM))
     desk.finish()
     await settle()
     assert desk.codes == [(GoalStatus.SUCCEEDED, FollowCode.SUCCESSFUL)]
@@ -173,16 +180,6 @@ async def test_a_goal_within_its_tolerance_succeeds_at_once_and_violates_it_with
     assert desk.codes[0] == (
         (GoalStatus.SUCCEEDED, code) if code is not None else (GoalStatus.ABORTED, FollowCode.GOAL_TOLERANCE_VIOLATED)
     )
-
-
-async def test_feedback_has_every_joint_while_the_arm_moves(desk: Desk) -> None:
-    await desk.send(ACTION, trajectory=TRAJECTORY)
-    desk.arm.state = at(0.2, 0.3)
-    desk.report(replace(MOVING, state=GoalState.PLANNED))
-    desk.report(MOVING)
-    (feedback,) = desk.feedback
-    assert feedback["joint_names"] == list(ARM)
-    assert feedback["error"]["positions"] == pytest.approx([0.1] * len(ARM))
 
 
 LOST, NOT_SETTLED = {"outcome": Outcome.TRACKING_LOST.value}, {"outcome": Outcome.NOT_SETTLED.value}

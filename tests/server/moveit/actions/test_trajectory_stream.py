@@ -97,13 +97,20 @@ async def test_slow_planners_stop_no_stream(controller: Controller, monkeypatch:
     controller.assert_within_limits()
 
 
-@pytest.mark.parametrize("after_s", np.arange(0.0, 1.0 / STREAM_HZ, 0.012).tolist())
-async def test_a_stop_at_any_moment_ends_the_stream_until_it_pauses(controller: Controller, after_s: float) -> None:
+# The last is a standstill of the server after the stop, which is no pause of the stream.
+STOPS = [*((after_s, 0.0) for after_s in np.arange(0.0, 1.0 / STREAM_HZ, 0.012).tolist()), (0.0, 10.0 * STREAM_PAUSE_S)]
+
+
+@pytest.mark.parametrize(("after_s", "standstill_s"), STOPS)
+async def test_a_stop_at_any_moment_ends_the_stream_until_it_pauses(
+    controller: Controller, after_s: float, standstill_s: float
+) -> None:
     streaming = asyncio.create_task(controller.stream(1.5))
     await asyncio.sleep(0.7 + after_s)
     controller.stage.call("/arm/stop")
     await asyncio.sleep(0.4)
     at_rest = len(controller.arm_rad)
+    cast("SteppedLoop", asyncio.get_running_loop()).advance(standstill_s)
     await streaming
     assert (np.array(controller.arm_rad[at_rest:]) == controller.arm_rad[at_rest]).all()
     assert "the arm was stopped: publish nothing on" in controller.refusals[-1]
@@ -111,18 +118,6 @@ async def test_a_stop_at_any_moment_ends_the_stream_until_it_pauses(controller: 
     controller.publish(point(controller.arm_rad[-1] + 0.1, 1.0))
     await asyncio.sleep(1.5)
     np.testing.assert_allclose(controller.arm_rad[-1], controller.arm_rad[at_rest] + 0.1, atol=1e-6)
-
-
-async def test_a_standstill_of_the_server_after_a_stop_is_no_pause_of_the_stream(controller: Controller) -> None:
-    streaming = asyncio.create_task(controller.stream(1.5))
-    await asyncio.sleep(0.7)
-    controller.stage.call("/arm/stop")
-    await asyncio.sleep(0.4)
-    at_rest = len(controller.arm_rad)
-    cast("SteppedLoop", asyncio.get_running_loop()).advance(10.0 * STREAM_PAUSE_S)
-    await streaming
-    await asyncio.sleep(0.5)
-    assert (np.array(controller.arm_rad[at_rest:]) == controller.arm_rad[at_rest]).all()
 
 
 async def test_a_stream_stops_before_an_object(controller: Controller, caplog: pytest.LogCaptureFixture) -> None:

@@ -63,12 +63,7 @@ def test_a_coordinate_that_is_not_finite_is_named(axis: str) -> None:
     assert_refused(rejection(TRANSLATOR.pose, pose_stamped("", **{axis: math.nan})), INVALID, f"position.{axis}")
 
 
-def test_nothing_is_suggested_that_no_plan_has_verified() -> None:
-    for unverified in ({"nearest_m": [0.1, 0.2, 0.3]}, {"joint": "elbow_flex", "lower_rad": -1.0, "upper_rad": 1.0}):
-        assert suggestion({"name": ["elbow_flex"], "position": [9.0]}, unverified, ROBOT) is None
-
-
-def test_a_point_is_suggested_in_the_planning_frame_with_the_orientation_of_the_goal() -> None:
+def test_a_point_that_a_plan_has_verified_is_suggested_in_the_planning_frame_with_the_orientation_of_the_goal() -> None:
     found: Any = suggestion({}, {"free_m": [0.1, 0.2, 0.3]}, ROBOT)
     assert found.topic == "/moveit_goal_pose"
     assert found.msg["header"]["frame_id"] == ROBOT.root_link
@@ -81,6 +76,8 @@ def test_a_point_is_suggested_in_the_planning_frame_with_the_orientation_of_the_
     told = suggestion(pose_stamped("base", TURNED, x=2.0), {"free_m": [0.5, 0.0, 0.4]}, LIFTED)
     assert told.msg["pose"]["orientation"] == TURNED
     assert suggestion(pose_stamped("tool", TURNED, x=2.0), {"free_m": [0.5, 0.0, 0.4]}, LIFTED) is None
+    for unverified in ({"nearest_m": [0.1, 0.2, 0.3]}, {"joint": "elbow_flex", "lower_rad": -1.0, "upper_rad": 1.0}):
+        assert suggestion({"name": ["elbow_flex"], "position": [9.0]}, unverified, ROBOT) is None
 
 
 LIFTED = model.parse(LIFTED_URDF, LIFTED_SRDF)

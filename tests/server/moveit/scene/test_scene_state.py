@@ -72,7 +72,7 @@ async def test_a_large_change_that_is_refused_or_no_longer_waited_for_changes_no
     assert state.contents is contents
 
 
-async def test_changes_that_wait_are_bounded():
+async def test_changes_that_wait_are_bounded_and_one_larger_than_the_bound_is_waited_for():
     state, most = scene_state(), SceneChange(lambda _draft: None, MAX_WAITING_ELEMENTS)
     first, second = (state.submit(most, BENT) for _ in range(2))
     text = (
@@ -80,11 +80,7 @@ async def test_changes_that_wait_are_bounded():
     )
     assert str(second.exception()) == text
     await asyncio.wait_for(first, TIMEOUT_S)
-
-
-async def test_a_change_larger_than_all_that_may_wait_is_waited_for():
-    state, large = scene_state(), SceneChange(lambda _draft: None, MAX_WAITING_ELEMENTS + 1)
-    applied = state.submit(large, BENT)
+    applied = state.submit(SceneChange(lambda _draft: None, MAX_WAITING_ELEMENTS + 1), BENT)
     await asyncio.wait_for(state.settled(), TIMEOUT_S)
     assert applied.done()
 

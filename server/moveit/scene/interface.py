@@ -10,7 +10,7 @@ from planners.scene_checks import MAX_SCENE_TRIANGLES, MAX_SHAPES
 from protocol.messages import ListLimits
 from protocol.publication import PublishedMessage
 from robot.description.model import RobotModel
-from server.errors import RefusedError
+from server.errors import GraphError, RefusedError
 from server.execution.monitors import CurrentState, state_message
 from server.graph.permissions import LOOKING, WORKING
 from server.graph.providers import CompleteResponse
@@ -181,6 +181,9 @@ def _subscribe_to_scene_topics(node: LocalNode, state: SceneState, current: Curr
     def deliver(published: PublishedMessage) -> None:
         _, read = topics[published.topic]
         applied = state.submit(read(published.msg), current.positions_rad())
+        # The publisher gets a status of a change that is refused at once; of a large one, which waits, there is a log.
+        if applied.done() and (refusal := applied.exception()) is not None:
+            raise GraphError("topic", published.topic, f"refused, nothing is changed: {refusal}") from refusal
         applied.add_done_callback(lambda applied: end(published.topic, applied.exception()))
 
     for topic, (type_name, _) in topics.items():

@@ -185,7 +185,7 @@ class Scheduling(NamedTuple):
     memory_locked: bool = False
 
 
-def enter_realtime(rate: float = 1.0) -> Scheduling:
+def enter_realtime(rate: float) -> Scheduling:
     """Request real-time priority and locked memory, and end garbage collections, which would delay ticks.
 
     A clock faster than the machine's may keep a core busy, and gets no priority over the planners.

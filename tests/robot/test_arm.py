@@ -117,18 +117,10 @@ class Stick:
         return 0.0 if self.stream.commanded is None else float(self.stream.commanded.velocity_rad_s[0])
 
 
-async def test_a_stream_follows_its_setpoints_and_ends_at_rest_without_them(rig: ArmOnServos) -> None:
+async def test_a_stream_follows_its_setpoints_until_it_is_ended_for_who_needs_the_arm(rig: ArmOnServos) -> None:
+    assert await rig.arm.end_streams(TIMEOUT_S)
     stick = Stick(rig.arm)
     await until(lambda: stick.speed_rad_s == pytest.approx(0.5, abs=0.01) and rig.pan_rad > 0.15)
-    ended = await asyncio.wait_for(stick.stream.ended, TIMEOUT_S)
-    assert ended.outcome is Outcome.UNSTEERED
+    assert await rig.arm.end_streams(TIMEOUT_S)
+    assert (await asyncio.wait_for(stick.stream.ended, TIMEOUT_S)).outcome is Outcome.STOPPED
     assert rig.arm.state.goal_rad[0] > 0.15
-    assert (await rig.arm.execute(to(0.0, start_rad=float(rig.arm.state.goal_rad[0])))).outcome is Outcome.REACHED
-
-
-async def test_streams_are_ended_for_who_needs_the_arm(rig: ArmOnServos) -> None:
-    assert await rig.arm.end_streams(TIMEOUT_S)
-    stick = Stick(rig.arm)
-    await until(lambda: stick.speed_rad_s > 0.0)
-    assert await rig.arm.end_streams(TIMEOUT_S)
-    assert stick.stream.ended.done()

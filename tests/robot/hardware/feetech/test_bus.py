@@ -1,5 +1,4 @@
 import contextlib
-import itertools
 import random
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -354,12 +353,6 @@ def test_an_instruction_is_laid_out_as_the_servos_read_it_and_none_is_longer_tha
     assert len(instruction_packet(1, 3, bytes(longest))) == MAX_INSTRUCTION_BYTES
     with pytest.raises(ValueError, match=f"at most {longest} bytes"):
         instruction_packet(1, 3, bytes(longest + 1))
-
-
-def test_no_register_overlaps_another():
-    assert len(Register) == len(Register.__members__)
-    for register, following in itertools.pairwise(sorted(Register)):
-        assert register + register.size <= following, register
 
 
 def test_the_sign_stands_in_each_registers_own_bit_and_every_documented_status_bit_is_named():

@@ -96,6 +96,8 @@ def test_a_value_is_read_as_it_was_written_or_refused_by_name(table: RegisterTab
 def test_no_two_registers_overlap_and_data_of_the_wrong_length_is_refused(family: Family, table: RegisterTable) -> None:
     ordered = sorted(family.registers.Register)
     assert ordered == list(table.registers)
+    # Two at one address would be one, with two names.
+    assert len(ordered) == len(family.registers.Register.__members__)
     assert all(first + first.size <= second for first, second in pairwise(ordered))
     size = table.goal_position.size
     with pytest.raises(ValueError, match=f"GOAL_POSITION has {size} bytes, not 1"):

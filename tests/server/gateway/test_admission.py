@@ -24,9 +24,9 @@ from tests.helpers.clock import FakeClock
 
 SECRET, OTHER = "correct-horse-battery", "another-token-of-mine"
 ALICE = Identity("alice", Role.OPERATE)
-LOCKED = Tokens({SECRET: ALICE}, anonymous=None)
-VIEWED = Tokens({SECRET: ALICE}, anonymous=Identity("", Role.VIEW))
-OPEN = Tokens({}, ANYONE)
+LOCKED = Access(AccessSettings.model_validate({"operate_tokens": {"alice": SECRET}}))
+VIEWED = Access(LOCKED.settings.model_copy(update={"without_token": "view"}))
+OPEN = Access(AccessSettings())
 FOREIGN = "Origin", "http://evil.com"
 
 
@@ -38,12 +38,6 @@ def request_for(
 
 def plain(path: str, *headers: tuple[str, str]) -> HandshakeRequest:
     return request_for(path, *headers, upgrade=False)
-
-
-def policy_of(tokens: Tokens, *clock: FakeClock) -> AdmissionPolicy:
-    access = Access(AccessSettings(), *clock)
-    access.tokens = tokens
-    return AdmissionPolicy(access)
 
 
 def refused(admitted: object) -> tuple[int, str]:
@@ -65,7 +59,7 @@ REBOUND = 421, 'set access.allowed_hosts = ["evil.com"]', "'Evil.com:9090' is no
 def test_a_rebound_name_and_a_foreign_page_are_refused_with_the_setting_to_change(
     asked: HandshakeRequest, status: int, remedy: str, logged: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    policy = policy_of(OPEN)
+    policy = AdmissionPolicy(OPEN)
     for _ in range(2):
         got, text = refused(policy.check(asked))
         assert got == status
@@ -80,23 +74,23 @@ def test_pages_of_a_classrooms_other_servers_may_connect() -> None:
 
 
 def test_a_token_admits_its_owner() -> None:
-    for tokens, asked, admitted in (
+    for access, asked, admitted in (
         (LOCKED, request_for("/", ("Authorization", f"Bearer {SECRET}")), ALICE),
         (LOCKED, request_for("/", ("Authorization", f"bearer  {SECRET} ")), ALICE),
         (LOCKED, request_for(f"/any/path?x=1&token={SECRET}"), ALICE),
         (LOCKED, request_for(f"/?token={SECRET}", ("Authorization", f"Bearer {SECRET}")), ALICE),
         (LOCKED, request_for(), None),
         (LOCKED, request_for("/", ("Authorization", "Basic YTpi")), None),
-        (VIEWED, request_for(), VIEWED.anonymous),
+        (VIEWED, request_for(), VIEWED.tokens.anonymous),
         (OPEN, request_for(f"/?token={OTHER}"), ANYONE),
         (OPEN, plain("/robot/description.urdf", FOREIGN), ANYONE),
         *((LOCKED, plain(path), None) for path in ("/", "/index.html", "/assets/vendor.js", "/healthz", "/livez")),
     ):
-        assert policy_of(tokens).check(asked) == admitted
+        assert AdmissionPolicy(access).check(asked) == admitted
 
 
 def test_a_request_is_refused_with_its_reason() -> None:
-    for tokens, asked, status, words in (
+    for access, asked, status, words in (
         (OPEN, HandshakeRequest("::1", "/", Headers(), upgrade=True), 400, "one Host header, not 0"),
         (OPEN, request_for("/", ("Host", "localhost")), 400, "one Host header, not 2"),
         (OPEN, request_for("/", ("Host", "evil.com")), 400, "one Host header, not 2"),
@@ -109,16 +103,16 @@ def test_a_request_is_refused_with_its_reason() -> None:
         (OPEN, request_for("/?ros=1&ros=noetic"), 400, "?ros= must be 1 or 2, not 'noetic'"),
         (OPEN, request_for("/?on_disconnect="), 400, "?on_disconnect= must be finish or stop, not ''"),
     ):
-        got, text = refused(policy_of(tokens).check(asked))
+        got, text = refused(AdmissionPolicy(access).check(asked))
         assert got == status
         assert words in text
 
 
 @pytest.mark.parametrize("path", [f"/?token={OTHER}", "/?token=", f"/?token={SECRET[:-1]}", f"/?token={SECRET}%00"])
-@pytest.mark.parametrize("tokens", [LOCKED, VIEWED])
-def test_a_wrong_token_is_refused_and_not_logged(path: str, tokens: Tokens, caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("access", [LOCKED, VIEWED])
+def test_a_wrong_token_is_refused_and_not_logged(path: str, access: Access, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("DEBUG")
-    admitted = policy_of(tokens).check(request_for(path))
+    admitted = AdmissionPolicy(access).check(request_for(path))
     assert refused(admitted) == (401, "invalid token\n")
     assert admitted.headers["WWW-Authenticate"] == "Bearer"
     assert "::1 has shown an invalid token" in caplog.text
@@ -127,7 +121,7 @@ def test_a_wrong_token_is_refused_and_not_logged(path: str, tokens: Tokens, capl
 
 def test_after_many_wrong_tokens_even_the_right_one_is_refused_for_a_while() -> None:
     clock = FakeClock()
-    policy = policy_of(LOCKED, clock)
+    policy = AdmissionPolicy(Access(LOCKED.settings, clock))
     for number in range(MAX_WRONG):
         assert refused(policy.check(request_for(f"/?token={OTHER}{number}", address="192.0.2.1")))[0] == 401
     right = request_for(f"/?token={SECRET}", address="192.0.2.1")
@@ -142,14 +136,14 @@ def test_after_many_wrong_tokens_even_the_right_one_is_refused_for_a_while() -> 
 def test_paths_that_tell_of_the_robot_need_a_token_and_those_without_sense_let_nobody_in() -> None:
     told = ("/metrics", "/goal", "/armbridge/x", "/robot/description.urdf", "/%6detrics", "/robot", "/metrics?x=1")
     for path in told:
-        status, text = refused(policy_of(LOCKED).check(plain(path)))
+        status, text = refused(AdmissionPolicy(LOCKED).check(plain(path)))
         assert (status, "needs a token" in text) == (401, True), path
         asked = path + ("&" if "?" in path else "?") + f"token={SECRET}"
-        assert policy_of(LOCKED).check(plain(asked)) == ALICE, path
-        assert policy_of(VIEWED).check(plain(path)) == VIEWED.anonymous, path
+        assert AdmissionPolicy(LOCKED).check(plain(asked)) == ALICE, path
+        assert AdmissionPolicy(VIEWED).check(plain(path)) == VIEWED.tokens.anonymous, path
     for path in ("//[", "/%ff%00?token", "?", "", "/?%", "http://[x/?token=a"):
         for upgrade in (True, False):
-            assert not isinstance(policy_of(LOCKED).check(request_for(path, upgrade=upgrade)), Identity), path
+            assert not isinstance(AdmissionPolicy(LOCKED).check(request_for(path, upgrade=upgrade)), Identity), path
 
 
 def authority_of(text: str) -> Authority:
@@ -240,24 +234,24 @@ EVERYWHERE = ["0.0.0.0"]
 
 def test_an_insecure_address_is_warned_of_at_each_start_and_no_other(caplog: pytest.LogCaptureFixture) -> None:
     for addresses in (["127.0.0.1"], ["127.0.0.1", "::1"], ["127.1.2.3"]):
-        check_exposure("localhost", addresses, OPEN, insecure=False)
+        check_exposure("localhost", addresses, OPEN.tokens, insecure=False)
     assert not caplog.records
     check_exposure("0.0.0.0", EVERYWHERE, WITH_TOKEN, insecure=False)
     assert not caplog.records
     for _ in range(2):
-        check_exposure("0.0.0.0", EVERYWHERE, OPEN, insecure=True)
+        check_exposure("0.0.0.0", EVERYWHERE, OPEN.tokens, insecure=True)
     assert caplog.text.count("INSECURE: anyone at 0.0.0.0 may connect without a token as admin") == 2
 
 
 @pytest.mark.parametrize("addresses", [EVERYWHERE, ["::"], ["192.168.0.2"], ["127.0.0.1", "192.168.0.2"], ["fe80::1"]])
 def test_a_public_address_needs_a_token_or_the_option_insecure(addresses: list[str]) -> None:
     with pytest.raises(ConfigurationError) as refused:
-        check_exposure("robot", addresses, OPEN, insecure=False)
+        check_exposure("robot", addresses, OPEN.tokens, insecure=False)
     assert all(words in str(refused.value) for words in ("ARMBRIDGE_ACCESS__TOKEN", "--insecure", addresses[-1]))
 
 
 def test_anonymous_operators_need_the_option_insecure_and_viewers_do_not(caplog: pytest.LogCaptureFixture) -> None:
-    check_exposure("robot", EVERYWHERE, VIEWED, insecure=False)
+    check_exposure("robot", EVERYWHERE, VIEWED.tokens, insecure=False)
     assert not caplog.records
     moving = Tokens({SECRET: ALICE}, Identity("", Role.OPERATE))
     check_exposure("robot", EVERYWHERE, moving, insecure=True)
@@ -277,8 +271,7 @@ def test_an_invalid_host_is_none() -> None:
 
 
 def test_a_one_time_token_reads_files_while_its_connection_is_open_and_opens_none_by_the_handshake() -> None:
-    policy = policy_of(LOCKED)
-    one_time = policy._access.one_time_tokens
+    policy, one_time = AdmissionPolicy(access := Access(LOCKED.settings)), access.one_time_tokens
     token = one_time.issue(ANYONE, "operate")
     header = "Authorization", f"Bearer {token}"
     assert refused(policy.check(request_for("/robot/x", header, upgrade=False)))[0] == 401

@@ -497,7 +497,7 @@ class Arm(ArmClock):
             _settle(answered, CommandDone(number, done=False, message="the arm process ended before it had answered"))
         if self._closing:
             return
-        self._tell_restart("the arm process ended; starting it again")
+        self._log_restart("the arm process ended; starting it again")
         self._restart = asyncio.create_task(self._start_again(ran_s), name="restart arm process")
         self._disconnect("the arm process ended and is starting again", STARTING_ARM, halted)
 
@@ -521,7 +521,7 @@ class Arm(ArmClock):
             await self._process.launch()
         except Exception as error:  # noqa: BLE001 - OSError, MemoryError and others; without a next try the arm is lost
             reason = f"the arm process cannot be started: {str(error) or type(error).__name__}"
-            self._tell_restart(reason)
+            self._log_restart(reason)
             self._disconnect(f"{reason}; it is tried again")
             return False
         if self._begun:
@@ -539,7 +539,7 @@ class Arm(ArmClock):
         except Exception:  # a bug in one who takes the state must not end the restarts
             log.exception("reporting that the arm process is gone failed")
 
-    def _tell_restart(self, line: str) -> None:
+    def _log_restart(self, line: str) -> None:
         self._restart_log.write(log, logging.ERROR, line, line, time.monotonic())
 
 

@@ -305,7 +305,7 @@ class Supervisor:
         return 0.0
 
     def finished(self) -> bool:
-        """Return True when the process may end: the server has ended, and the arm is in its end state, or late."""
+        """Return True when the process may end: the server ends, and the arm is in its end state or had its time."""
         self._ended = self._ended or self._reaches_end()
         return self._ended
 
@@ -317,16 +317,16 @@ class Supervisor:
         taken_s = now_s - self._end_begun_s
         if controller is None:
             # Servos that are still being checked may hold, as a process before this one has left them.
-            late = (self._lost_driven or self.arm is not None) and self._end is not EndState.HOLD
+            unfinished = (self._lost_driven or self.arm is not None) and self._end is not EndState.HOLD
         else:
             driven = self._end is not EndState.HOLD and controller.torque_enabled
-            late = controller.moving or self._task is not None or driven
+            unfinished = controller.moving or self._task is not None or driven
         timeout_s = END_TIMEOUT_S + (PARKING_TIMEOUT_S if self._end is EndState.PARK else 0.0)
         in_time = self._end_ticks * PERIOD_S <= timeout_s and taken_s <= END_LIMIT_S
-        if late and in_time and self.arm is not None:
+        if unfinished and in_time and self.arm is not None:
             return False
         self._interrupt("the server is ending")
-        if late:
+        if unfinished:
             log.error(
                 "the arm is not in its end state (%s) after %.0f s, in which it had %d ticks; the process ends: %s",
                 self._end.value,

@@ -113,7 +113,7 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
         if body.geoms and not body.explicitinertial:
             massless.append(body.name)
     if massless:
-        _tell_estimated(", ".join(massless))
+        _log_estimated(", ".join(massless))
     for first, second in robot.disabled_pairs:
         spec.add_exclude(bodyname1=first, bodyname2=second)
     for follower in robot.joints.values():
@@ -127,7 +127,7 @@ def _complete(spec: mujoco.MjSpec, robot: RobotModel) -> None:
 
 
 @cache
-def _tell_estimated(links: str) -> None:
+def _log_estimated(links: str) -> None:
     """Name links whose mass is estimated, once a process: a model is made at each try to open an arm."""
     estimate = f"estimated from the collision shapes at {LINK_DENSITY_KG_M3:g} kg/m^3"
     log.warning("physics: the URDF has no mass of %s; %s", links, estimate)

@@ -308,7 +308,7 @@ class Supervisor:
         return 0.0
 
     def finished(self) -> bool:
-        """Return True when the process may end: after the server, with the arm in its end state or its time over."""
+        """Return True when the process may end: the server ends, and the arm is in its end state or had its time."""
         self._ended = self._ended or self._reaches_end()
         return self._ended
 

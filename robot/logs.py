@@ -40,8 +40,7 @@ MAX_KEYS = 100  # subjects that a limiter remembers: clients choose what their r
 BURST = 500
 LINES_PER_S = 10.0
 
-# Names that clients make up included; the program's some thirty loggers can always be changed.
-MAX_CHANGED_LOGGERS = 100
+MAX_CHANGED_LOGGERS = 100  # made-up names included; the levels of the program's own thirty can always be changed
 
 
 def configure(level: int | str, log_format: LogFormat, process: str = "server", arm: str = "") -> None:

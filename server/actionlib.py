@@ -143,7 +143,7 @@ class BridgedAction:
             log.warning("%s: a goal of the id %r is known already", self._name, message["goal_id"]["id"])
             return
         if full:
-            self._end(goal, ActionlibStatus.REJECTED, f"{MAX_GOALS} goals of {self._name} are under way, the limit", {})
+            self._end(goal, ActionlibStatus.REJECTED, f"{MAX_GOALS} goals of {self._name} are active, the limit", {})
             return
         goal.status = ActionlibStatus.ACTIVE
         sender = published.publisher if isinstance(published.publisher, Node) else self._node

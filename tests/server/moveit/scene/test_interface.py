@@ -215,7 +215,7 @@ def test_a_subscriber_gets_the_whole_scene_first_and_then_fast_changes_together_
     assert all(change["is_diff"] for change in watched.heard[1:])
     # Nothing is published of a change that is reverted in time, nor after the end.
     watched.add("cup")
-    watched.clock.advance(0.0)
+    watched.clock.advance(PERIOD_S)
     watched.add("pen")
     watched.add("pen", operation=1)
     watched.clock.advance(PERIOD_S)

@@ -157,8 +157,8 @@ class App:
             from server.features.cameras import cameras_of
 
             self._cameras = cameras_of(context, self._physics)
-        clients = MoveGroup(context), ArmGoals(context), teaching_of(context)
-        goals = *clients, context.goals, Servo(context), teleoperation_of(context), PolicyChunks(context)
+        motions = MoveGroup(context), ArmGoals(context), teaching_of(context), context.goals
+        goals = *motions, Servo(context), teleoperation_of(context), PolicyChunks(context)
         self.features = self._in_order_of_start(commissioning, parkings, goals)
         self._arms.connect([each for each in self.features if isinstance(each, Feature)])
 

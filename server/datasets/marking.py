@@ -159,7 +159,9 @@ class EpisodeServices:
             return
         if len(self._watched) >= MAX_WATCHED:
             # Cameras that are gone make room for others.
-            self._watched = {topic: each for topic, each in self._watched.items() if self._graph.publishers(topic)}
+            for topic in [topic for topic in self._watched if not self._graph.publishers(topic)]:
+                del self._watched[topic]
+                self._graph.unsubscribe(self._observer, topic)
         for topic, type_name in self._graph.topic_names.types().items():
             publishers = self._graph.publishers(topic)
             if len(self._watched) < MAX_WATCHED and publishers and (type_name in IMAGES or topic == STATE_TOPIC):

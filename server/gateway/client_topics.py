@@ -26,6 +26,10 @@ _TOPIC = re.compile(r'"topic"\s*:\s*"([^"\\]+)"')
 _TOPIC_WITHIN = 1024
 
 
+def _is_like_stop(topic: str) -> bool:
+    return topic.lower().rstrip("/").endswith("stop")
+
+
 class ClientTopics:
     """Topics of one client."""
 
@@ -68,18 +72,22 @@ class ClientTopics:
 
     def publish(self, operation: Publish, message: ReceivedMessage) -> None:
         topic = qualify(operation.topic)
-        if topic.lower().rstrip("/").endswith("stop") and not self._graph.subscribers(topic):
-            text = f"publish: topic {topic}: nobody reads it, so nothing was stopped; /stop stops the arm"
-            self._client.status.refuse(Refusal(None, operation.id, text))
+        self._answer_misspelt_stop(operation, topic)
         latch = self._latches(operation)
         lost = self._graph.publish(self._node, topic, message, latch=latch, lifespan_s=LIFESPAN_S)
         lost = NO_LATCH if operation.latch and not latch else lost or self._graph.remarks.get(topic)
         if lost is not None:
             self._client.status.report("warning", operation, lost)
-        if not operation.latch:
+        # Of a topic named like a stop each message is looked at: its reader may leave.
+        if not operation.latch and not _is_like_stop(topic):
             reader = self._graph.strict_reader(self._node, topic)
             if reader is not None and len(self._strict_topics) < MAX_STRICT_TOPICS:
                 self._strict_topics[operation.topic] = topic
+
+    def _answer_misspelt_stop(self, operation: Publish, topic: str) -> None:
+        if _is_like_stop(topic) and not self._graph.subscribers(topic):
+            text = f"publish: topic {topic}: nobody reads it, so nothing was stopped; /stop stops the arm"
+            self._client.status.refuse(Refusal(None, operation.id, text))
 
     def publish_strictly(self, frame: str) -> bool:
         """Publish a message where the client has published before; False for a frame to be read the general way."""
@@ -106,6 +114,7 @@ class ClientTopics:
         """Have the topic's owner answer a message that the client may not publish."""
         received = ReceivedMessage(operation.msg, 0, self._session.dialect)
         topic = qualify(operation.topic)
+        self._answer_misspelt_stop(operation, topic)
         try:
             self._graph.reject_unauthorized(self._node, topic, received, problem)
         except PostponedError:

@@ -74,15 +74,21 @@ class TestMisspeltTopics:
 
     def test_a_misspelt_stop_is_answered_whatever_was_carried_out_before(self, world: InProcess) -> None:
         world.say("x", op="advertise", topic="/estop", type="std_msgs/Empty")
-        for stop in ({"op": "publish", "topic": "/estop"}, {"op": "publish", "topic": "/Stop"}, {"op": "stop"}):
+        estop, upper = {"op": "publish", "topic": "/estop", "msg": {}}, {"op": "publish", "topic": "/Stop"}
+        for stop in (estop, estop, upper, {"op": "stop"}):
             world.say("x", **stop)
         *topics, unknown = (each["msg"] for each in world.heard("x"))
         sentence = "publish: topic {}: nobody reads it, so nothing was stopped; /stop stops the arm"
-        assert topics == [sentence.format("/estop"), sentence.format("/Stop")]
+        assert topics == [sentence.format(topic) for topic in ("/estop", "/estop", "/Stop")]
         assert unknown.startswith("field op: wanted one of ")
         world.graph.subscribe(Node("server"), "/estop", "std_msgs/Empty", Subscriber(lambda _: None))
         world.say("x", op="publish", topic="/estop")
         assert world.heard("x") == []
+
+    def test_a_viewer_that_misspells_a_stop_is_answered_too(self, world: InProcess) -> None:
+        world.enter("screen", Identity("screen", Role.VIEW))
+        world.say("screen", op="publish", topic="/estop", msg={})
+        assert [each["level"] for each in world.heard("screen")] == ["error"]
 
     def test_clients_without_warnings_cost_nothing(self, world: InProcess, monkeypatch: pytest.MonkeyPatch) -> None:
         world.say("x", op="advertise", topic="/chat", type="std_msgs/String")

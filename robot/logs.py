@@ -248,7 +248,8 @@ _changed: dict[str, LoggerLevel] = {}
 
 def change(level: LoggerLevel) -> bool:
     """Change a logger's level in this process and in all children; return False for too many names of no logger."""
-    known = level.name in _changed or level.name in logging.root.manager.loggerDict
+    # A name with dots makes places for loggers above it, which are none.
+    known = level.name in _changed or isinstance(logging.root.manager.loggerDict.get(level.name), logging.Logger)
     if not known and len(_changed) >= MAX_CHANGED_LOGGERS:
         return False
     _changed[level.name] = level

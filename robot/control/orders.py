@@ -157,6 +157,17 @@ class Orders:
         for joint, age_s in enumerate(self._readings().age_s.tolist()):
             if age_s > silent_after_s:
                 raise OrderRefused(f"the servo of joint {hardware.label(joint)} does not answer")
+        try:
+            yield from self._remove_causes(controller, fault)
+        except (GeneratorExit, StartupError, NoReply):
+            # Also at a stop: joints that were enabled must not go to the goals of before.
+            self._hold_still(controller)
+            raise
+        controller.reset()
+        return "the arm holds" if controller.torque_enabled else "the arm is relaxed"
+
+    def _remove_causes(self, controller: ArmController, fault: Fault) -> Steps[None]:
+        hardware = self._arm.hardware
         driven = yield from hardware.driven()
         yield from self._clear_overloads(controller)
         yield POLL_S
@@ -167,17 +178,16 @@ class Orders:
         else:
             controller.release()
             self._check_all_off((yield from hardware.switch_off(on)), fault.code)
-        controller.reset()
-        return "the arm holds" if controller.torque_enabled else "the arm is relaxed"
 
-    def hold_still(self) -> None:
-        """Hold joints at their positions that are far from their goals: a reset in progress may have enabled them."""
-        controller, measured = self._arm.controller, self._arm.measured
-        if controller is None or measured is None or not controller.torque_enabled or controller.moving:
+    def _hold_still(self, controller: ArmController) -> None:
+        """Hold each joint that is far from its goal at its position."""
+        measured = self._arm.measured
+        if measured is None or not controller.torque_enabled:
             return
         away_rad = np.abs(measured.position_rad - controller.goal_rad)
         near = away_rad <= controller.guards.thresholds.goal_tolerance_rad
-        self._arm.hold(np.where(near, controller.goal_rad, measured.position_rad))
+        if not near.all():
+            self._arm.hold(np.where(near, controller.goal_rad, measured.position_rad))
 
     def write_calibration(self, calibration: Calibration | None) -> Steps[str]:
         """Write a calibration into the servos of a relaxed arm; its readings then differ from this process's."""

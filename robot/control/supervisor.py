@@ -231,9 +231,8 @@ class Supervisor:
         relaxed = self._controller is not None and not self._controller.torque_enabled
         if self._orders is not None and relaxed and self._runs(_NAMES[Order.ENABLE]):
             self._begin(_Task(SWITCHING_OFF, self._orders.relax(), None, self._clock()))
-        elif self._orders is not None and self._runs(_NAMES[Order.RESET_FAULT]):
+        elif self._runs(_NAMES[Order.RESET_FAULT]):
             self._interrupt("given up: a stop came")
-            self._orders.hold_still()
 
     @property
     def spare_ticks(self) -> int:

@@ -108,8 +108,9 @@ def test_loggers_that_are_changed_are_bounded_and_children_forgotten(monkeypatch
     assert [logs.change(each) for each in changes] == [True] * logs.MAX_CHANGED_LOGGERS + [False]
     assert logs.change(changes[0])
     # Names that somebody made up do not keep the program's own loggers from being changed.
-    logging.getLogger(f"{NAME}.own")
-    assert logs.change(logs.LoggerLevel(f"{NAME}.own", 0))
+    logging.getLogger(f"{NAME}.place.own")
+    assert logs.change(logs.LoggerLevel(f"{NAME}.place.own", 0))
+    assert not logs.change(logs.LoggerLevel(f"{NAME}.place", 0))
     count = len(logs._followers)
     child = Child()
     logs.follow(child)

@@ -167,10 +167,12 @@ class PolicyRunner:
         if not self._held:
             return
         log.info("the policy waits: %s", self._held)
+        stops = self._link.stops
         while self._held:
-            # A stop that comes just after the person has resumed the policy is a later one.
-            self._stops = self._link.stops
+            # From before it was seen held: a stop just after the person has resumed the policy is a later one.
+            self._stops = stops
             time.sleep(POLL_S)
+            stops = self._link.stops
         log.info("the policy goes on")
         self._policy.reset()
         self._near = False

@@ -72,8 +72,10 @@ class FaultFiles:
         if self._files is None:
             return
         before, self._state = self._state, state
-        figures = [getattr(state, name) for name in QUANTITIES]
-        if all(each is not None for each in figures):
+        if state.position_rad is not None:
+            # As of the goals of an arm that is relaxed.
+            unknown = np.full(len(state.joint_names), np.nan)
+            figures = [unknown if (each := getattr(state, name)) is None else each for name in QUANTITIES]
             self._samples.append((state.clock_s, np.array(figures)))
         fault = state.fault
         if fault is not None and (before is None or fault != before.fault):

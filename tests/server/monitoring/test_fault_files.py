@@ -178,10 +178,11 @@ async def test_states_of_an_earlier_arm_process_are_left_out_and_figures_that_ar
     world: World,
 ) -> None:
     world.files.take_state(state(at_s=1000.0))
-    world.files.take_state(state(current_a=np.array([np.nan, 0.5])))
+    world.files.take_state(state(current_a=np.array([np.nan, 0.5]), goal_rad=None))
     await world.latch(at_s=0.1)
     states = world.lines("state")
-    assert ([each["time_s"] for each in states], states[0]["current_a"]) == ([-0.1, 0.0], [None, 0.5])
+    assert [each["time_s"] for each in states] == [-0.1, 0.0]
+    assert (states[0]["current_a"], states[0]["goal_rad"]) == ([None, 0.5], [None, None])
 
 
 async def test_one_fault_leaves_one_file_and_the_next_one_another(world: World) -> None:

@@ -59,6 +59,18 @@ def options(stub: Stub, server: RunningServer, *more: str, with_camera: bool = F
     return [BIN / "armbridge-policy", *robot_options, f"--openpi.url={stub.url}", "--openpi.radians=true", *more]
 
 
+@contextmanager
+def logged_policy(folder: Path, server: RunningServer) -> Iterator[tuple[Stub, Path]]:
+    """A policy that moves the arm, its server, and the file of its log."""
+    log = folder / "policy.log"
+    with (
+        policy_server(folder, "ramp") as stub,
+        log.open("w") as out,
+        running(options(stub, server, "--fps=30"), env=OFFLINE, cwd=folder, stderr=out),
+    ):
+        yield stub, log
+
+
 def ended(stub: Stub, server: RunningServer, folder: Path, *more: str) -> str:
     """Run a policy to its end, and return its last line."""
     done = run(*options(stub, server, *more), timeout_s=240, env=OFFLINE, cwd=folder)
@@ -144,12 +156,8 @@ def test_a_stop_while_another_client_has_the_control_ends_the_policy(
     server: RunningServer, arm: Arm, tmp_path: Path
 ) -> None:
     arm.move_joints(UPRIGHT)
-    position_rad, log = arm.state().position_rad, tmp_path / "policy.log"
-    with (
-        policy_server(tmp_path, "ramp") as stub,
-        log.open("w") as out,
-        running(options(stub, server, "--fps=30"), env=OFFLINE, cwd=tmp_path, stderr=out),
-    ):
+    position_rad = arm.state().position_rad
+    with logged_policy(tmp_path, server) as (_, log):
         wait_until(lambda: "the policy waits: " in log.read_text())
         arm.stop()
         arm.release_control()
@@ -160,12 +168,7 @@ def test_a_stop_while_another_client_has_the_control_ends_the_policy(
 def test_a_stop_just_after_a_policy_is_resumed_ends_it(server: RunningServer, arm: Arm, tmp_path: Path) -> None:
     arm.move_joints(UPRIGHT)
     arm.release_control()
-    log = tmp_path / "policy.log"
-    with (
-        policy_server(tmp_path, "ramp") as stub,
-        log.open("w") as out,
-        running(options(stub, server, "--fps=30"), env=OFFLINE, cwd=tmp_path, stderr=out),
-    ):
+    with logged_policy(tmp_path, server) as (stub, log):
         assert next(followed(arm))
         assert arm.chunks().pause() == "the policy is paused"
         wait_until(lambda: "the policy waits: " in log.read_text())
@@ -182,12 +185,7 @@ def test_a_stop_just_after_a_policy_is_resumed_ends_it(server: RunningServer, ar
 def test_a_person_pauses_the_policy_steers_and_gives_back(server: RunningServer, arm: Arm, tmp_path: Path) -> None:
     arm.move_joints(UPRIGHT)
     arm.release_control()
-    log = tmp_path / "policy.log"
-    with (
-        policy_server(tmp_path, "ramp") as stub,
-        log.open("w") as out,
-        running(options(stub, server, "--fps=30"), env=OFFLINE, cwd=tmp_path, stderr=out),
-    ):
+    with logged_policy(tmp_path, server) as (stub, log):
         assert next(followed(arm))
         # The policy's client has control; whoever sees the arm may pause it.
         assert arm.chunks().pause() == "the policy is paused"

@@ -80,16 +80,19 @@ class ClientStatus:
         self._log_limiter = LogLimiter(LOG_BURST, LOG_LINES_PER_S)
 
     def refuse(self, refusal: Refusal) -> None:
-        self._refuse(refusal, unasked=refusal.op is None)
+        unasked = refusal.op is None
+        self._refuse(refusal, unasked=unasked, always=unasked and "stop" in refusal.text.lower())
 
-    def _refuse(self, refusal: Refusal, *, unasked: bool) -> None:
+    def refuse_misspelt_stop(self, text: str, id_: OperationId) -> None:
+        """Report a message that stops nothing: a person who means to stop the arm must not wait in vain."""
+        self._refuse(Refusal("publish", id_, text), unasked=True, always=True)
+
+    def _refuse(self, refusal: Refusal, *, unasked: bool, always: bool = False) -> None:
         text = one_line(refusal.text)
         self._log(logging.WARNING, f"{self._node}: refused: {text}")
         unasked = unasked and self._unasked_errors_left > 0
         self._unasked_errors_left -= unasked
-        # A person who means to stop the arm must not wait in vain.
-        misspelt_stop = refusal.op is None and "stop" in text.lower()
-        self._session.status("error", text, refusal.id, unasked=unasked or misspelt_stop)
+        self._session.status("error", text, refusal.id, unasked=unasked or always)
         self._context.wake()
 
     def reject(self, operation: Operation, reason: str) -> None:

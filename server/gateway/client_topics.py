@@ -5,7 +5,6 @@ import re
 from protocol.errors import OperationError, ProtocolError
 from protocol.operations import Advertise, Publish, Subscribe, Unadvertise, Unsubscribe, qualify
 from protocol.publication import PublishedMessage
-from protocol.session import Refusal
 from server.access.authorization import Authorizer
 from server.gateway.client_context import ClientContext
 from server.graph.message_types import PostponedError, ReceivedMessage
@@ -87,7 +86,7 @@ class ClientTopics:
     def _answer_misspelt_stop(self, operation: Publish, topic: str) -> None:
         if _is_like_stop(topic) and not self._graph.subscribers(topic):
             text = f"publish: topic {topic}: nobody reads it, so nothing was stopped; /stop stops the arm"
-            self._client.status.refuse(Refusal(None, operation.id, text))
+            self._client.status.refuse_misspelt_stop(text, operation.id)
 
     def publish_strictly(self, frame: str) -> bool:
         """Publish a message where the client has published before; False for a frame to be read the general way."""
